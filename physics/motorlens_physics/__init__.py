@@ -1,0 +1,1 @@
+"""The motor and its effects, parameter files, recordings with units, simulation and calibration."""

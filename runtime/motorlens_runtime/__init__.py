@@ -1,0 +1,1 @@
+"""The virtual sensor on the drive PC: sources, framing, gate, estimator, publishers and the command line."""

@@ -1,0 +1,100 @@
+"""The one command, `motorlens`: finds its subcommands through entry points and turns errors into one line.
+
+A subcommand is one module with a docstring (its first line is the help line, the rest the epilog with an
+example), `add_arguments(parser)` and `run(arguments) -> int`. Modules keep heavy imports inside `run`, so that
+listing the commands stays instant and a missing extra hurts only the command that needs it.
+
+Exit status: 0 done, 1 the data or the model is at fault, 2 wrong usage.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points, version
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from motorlens_runtime.errors import MotorlensError
+
+# Which extra brings a module that the light runtime does not install.
+EXTRAS = {
+    "torch": "train", "onnx": "train", "scipy": "workbench", "sympy": "workbench", "numba": "workbench",
+    "matplotlib": "workbench", "plotly": "workbench", "paho": "publish", "pyarrow": "publish",
+}  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `motorlens` with the given arguments (default: those of the process) and return the exit status."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    modules = {point.name: point.value for point in entry_points(group="motorlens.commands")}
+    parser = _parser(modules, chosen=arguments[0] if arguments else None)
+    parsed = parser.parse_args(arguments)
+    try:
+        return int(parsed.run(parsed))
+    except MotorlensError as error:
+        return _fail(parsed.command, " ".join(str(error).split()))
+    except ModuleNotFoundError as error:
+        root = (error.name or "").partition(".")[0]
+        if root not in EXTRAS:
+            raise
+        return _fail(parsed.command, f"needs {root}, which is not installed: pip install 'motorlens[{EXTRAS[root]}]'")
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`); that is its right, not an error.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(parsed.command, f"{where}{error.strerror or error}")
+    except KeyboardInterrupt:
+        return _fail(parsed.command, "interrupted", status=130)
+
+
+def write_json(document: dict[str, Any], target: str | None) -> None:
+    """Write `document` to the file `target`, to standard output if it is "-", nowhere if it is None."""
+    if target is None:
+        return
+    text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+    else:
+        Path(target).write_text(text, encoding="utf-8")
+
+
+def add_json_argument(parser: argparse.ArgumentParser) -> None:
+    """Give a subcommand the `--json FILE` that every subcommand has."""
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON; - is standard output")
+
+
+def _parser(modules: dict[str, str], chosen: str | None) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="motorlens",
+        description="Virtual sensor for brushed DC motors, and the workbench that tells which physics is missing.",
+        epilog="example: motorlens infer recording.csv --sensor models/sensors/mellah2016.onnx -o estimates.csv",
+    )
+    parser.add_argument("--version", action="version", version=f"motorlens {version('motorlens')}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    # Only the chosen command is imported in full; the overview needs the help line of each.
+    for name in sorted(modules) if chosen not in modules else [chosen]:
+        assert name is not None
+        module = importlib.import_module(modules[name])
+        summary, epilog = _documentation(module)
+        command = commands.add_parser(
+            name, help=summary, description=summary, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    return parser
+
+
+def _documentation(module: ModuleType) -> tuple[str, str]:
+    summary, _, rest = (module.__doc__ or "").strip().partition("\n")
+    return summary, rest.strip()
+
+
+def _fail(command: str, message: str, status: int = 1) -> int:
+    print(f"motorlens {command}: {message}", file=sys.stderr)
+    return status

@@ -1,0 +1,1 @@
+"""Subcommands of `motorlens`, one file each."""
