@@ -1,0 +1,119 @@
+"""The textbook motor: three balances, and the sum of the effects in each.
+
+Mellah, Hemsas and Taleb (2016), doi:10.14569/IJACSA.2016.070731, equations (1) to (9), after Acarnley and Al-Tayie
+(1997), doi:10.1049/ip-epa:19970927. Equation (9) of the paper prints T_l/H in the speed equation; the torque balance
+(2) gives T_l/J, which is what stands here. Cooling uses |w|: the paper's motor turns one way only.
+
+The paper's iron loss k_ir w^2 heats without braking, so its model creates energy; the effect `iron_loss_torque` adds
+the brake that belongs to it.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.ops import magnitude
+from motorlens_physics.parameter import param
+
+# Speed within which |w| is rounded off in the cooling law, rad/s: far below any speed at which a fan blows.
+FAN_ROUNDING = 1e-3
+
+
+@dataclass(frozen=True)
+class Motor:
+    """L di/dt = v - R i - ke w,  J dw/dt = ke i - b w - T_load,  H dtheta/dt = R i^2 + k_ir w^2 - k0 (1 + kT |w|) theta.
+
+    R = R_a0 (1 + alpha theta); theta is the rise of the winding above ambient, in K. Parameters may be floats, arrays
+    (a batch of motors), SymPy symbols or quantities with units. `effects` add to the right-hand sides.
+    """
+
+    R_a0: float = param(
+        3.5,
+        "ohm",
+        "armature resistance at ambient temperature",
+        bounds=(1e-4, 1e4),
+        prior=0.3,
+        of="voltage/current",
+    )
+    L: float = param(0.034, "H", "armature inductance", bounds=(0.0, 10.0), prior=0.02, of="voltage/current")
+    ke: float = param(
+        0.9346, "V*s/rad", "back-EMF and torque constant", bounds=(1e-6, 1e3), prior=0.9, of="voltage/speed"
+    )
+    J: float = param(
+        0.0328,
+        "kg*m^2",
+        "moment of inertia, rotor and load",
+        bounds=(1e-9, 1e4),
+        prior=0.5,
+        of="torque/speed",
+    )
+    b: float = param(
+        0.00154, "N*m*s/rad", "viscous friction", bounds=(0.0, 1e2), prior=0.05, of="torque/speed"
+    )
+    alpha: float = param(
+        0.004, "1/K", "temperature coefficient of the winding's resistance", bounds=(0.0, 0.01), prior=0.0039
+    )
+    k0: float = param(
+        4.33, "W/K", "thermal conductance to ambient at rest", bounds=(1e-5, 1e4), prior=0.1, of="power/rise"
+    )
+    kT: float = param(
+        0.0028,
+        "s/rad",
+        "relative growth of the conductance with speed",
+        bounds=(0.0, 1.0),
+        prior=0.6,
+        of="1/speed",
+    )
+    k_ir: float = param(
+        0.00667, "W*s^2/rad^2", "iron loss constant", bounds=(0.0, 1e2), prior=0.1, of="power/speed^2"
+    )
+    H: float = param(18e3, "J/K", "heat capacity", bounds=(1e-4, 1e8), prior=500.0, of="power/rise")
+    effects: tuple[Effect, ...] = ()
+
+    def resistance(self, theta: Any) -> Any:
+        """Armature resistance at a winding rise theta (K), in ohm."""
+        return self.R_a0 * (1 + self.alpha * theta)
+
+    def balances(self, x: Any, u: Any) -> tuple[Any, Any, Any]:
+        """Right-hand sides of the three balances: voltage (V), torque (N m), heat (W), effects included."""
+        R = self.resistance(x.theta)
+        cooling = self.k0 * (1 + self.kT * self._turning(x.w)) * x.theta
+        voltage = u.v - R * x.i - self.ke * x.w
+        torque = self.ke * x.i - self.b * x.w - u.load
+        heat = R * x.i**2 + self.k_ir * x.w**2 - cooling
+        for effect in self.effects:
+            voltage = voltage + effect.voltage(self, x, u)
+            torque = torque + effect.torque(self, x, u)
+            heat = heat + effect.heat(self, x, u)
+        return voltage, torque, heat
+
+    def rates(self, x: Any, u: Any) -> dict[str, Any]:
+        """Time derivatives of all states: i (A/s), w (rad/s^2), theta (K/s) and those the effects bring."""
+        voltage, torque, heat = self.balances(x, u)
+        rates = {"i": voltage / self.L, "w": torque / self.J, "theta": heat / self.H}
+        for effect in self.effects:
+            rates |= effect.rates(self, x, u)
+        return rates
+
+    def states(self) -> dict[str, float]:
+        """Names of all states and where they start unless told otherwise: at rest, at ambient temperature."""
+        extra = {name: state.initial for effect in self.effects for name, state in effect.states.items()}
+        return {"i": 0.0, "w": 0.0, "theta": 0.0} | extra
+
+    def effect(self, name: str) -> Effect | None:
+        """The effect of that name, or None if the motor has it not."""
+        return next((effect for effect in self.effects if effect.name() == name), None)
+
+    def with_effect(self, effect: Effect) -> "Motor":
+        """This motor with the effect added, or put in the place of its namesake."""
+        others = tuple(other for other in self.effects if other.name() != effect.name())
+        return replace(self, effects=(*others, effect))
+
+    def without_effect(self, name: str) -> "Motor":
+        """This motor without the effect of that name."""
+        return replace(self, effects=tuple(effect for effect in self.effects if effect.name() != name))
+
+    @staticmethod
+    def _turning(w: Any) -> Any:
+        # A quantity with units gets a rounding in its own unit; numbers and symbols get it in rad/s.
+        return magnitude(w, FAN_ROUNDING * getattr(w, "units", 1))

@@ -1,0 +1,231 @@
+"""Motor files: a motor's parameters with unit, standard deviation and source, in TOML, round-tripped with comments.
+
+schema = "motorlens.motor/1"
+name = "mellah2016"
+
+[rated]
+voltage_V = 240.0
+
+[parameters]
+R_a0 = { value = 3.5, unit = "ohm", sd = 0.035, source = "published: arXiv 2104.04348" }
+
+[effects.coulomb_friction]
+tau_c = { value = 0.3, unit = "N*m", sd = 0.01, source = "fitted to bench.csv" }
+
+[sensors.speed_sensor_gain]
+gain = { value = 1.02, unit = "1" }
+"""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from motorlens_physics.effect import Effect, catalogue
+from motorlens_physics.motor import Motor
+from motorlens_physics.parameter import Parameter, Rated, parameters
+from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
+from motorlens_runtime.errors import DataError, ModelError
+
+SCHEMA = "motorlens.motor/1"
+_TOP = ("schema", "name", "description", "source", "rated", "parameters", "effects", "sensors")
+_ENTRY = ("value", "unit", "sd", "source")
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of one value: its standard deviation (None: not stated) and where it comes from."""
+
+    sd: float | None = None
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class MotorFile:
+    """A motor, its rating plate, its sensors, and what is known of each parameter.
+
+    `knowledge` is keyed like the parameters of a fit: "R_a0", "coulomb_friction.tau_c", "speed_sensor_gain.gain".
+    """
+
+    name: str
+    motor: Motor
+    rated: Rated
+    sensors: tuple[SensorModel, ...] = ()
+    knowledge: Mapping[str, Knowledge] = field(default_factory=dict)
+    description: str = ""
+    text: str = ""  # the TOML it was read from, so that writing keeps comments and order
+
+    def values(self) -> dict[str, float]:
+        """All parameter values by key, effects and sensors included."""
+        own = {name: getattr(self.motor, name) for name in parameters(self.motor)}
+        for part in (*self.motor.effects, *self.sensors):
+            own |= {f"{part.name()}.{name}": getattr(part, name) for name in part.parameters()}
+        return own
+
+    def meaning(self, key: str) -> Parameter:
+        """The declaration of a parameter by key."""
+        owner, _, name = key.rpartition(".")
+        parts = {part.name(): part for part in (*self.motor.effects, *self.sensors)}
+        return parameters(parts[owner] if owner else self.motor)[name]
+
+    def with_values(
+        self, values: Mapping[str, float], knowledge: Mapping[str, Knowledge] | None = None
+    ) -> "MotorFile":
+        """A copy with some parameters changed; `knowledge` replaces what was known of them."""
+        motor, sensors = self.motor, self.sensors
+        for key, value in values.items():
+            owner, _, name = key.rpartition(".")
+            effect = motor.effect(owner) if owner else None
+            if not owner:
+                motor = replace(motor, **{name: value})
+            elif effect is not None:
+                effects = tuple(replace(e, **{name: value}) if e is effect else e for e in motor.effects)
+                motor = replace(motor, effects=effects)
+            else:
+                sensors = tuple(replace(s, **{name: value}) if s.name() == owner else s for s in sensors)
+        return replace(self, motor=motor, sensors=sensors, knowledge={**self.knowledge, **(knowledge or {})})
+
+
+def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ()) -> MotorFile:
+    """Read a motor file; `effects_from` are effect classes from outside the catalogue.
+
+    Raises:
+        ModelError: not TOML, an unknown key (with the nearest known one), a wrong unit, a value out of bounds.
+        OSError: the file cannot be read.
+    """
+    where = str(path)
+    text = Path(path).read_text(encoding="utf-8")
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ModelError(f"{where}: not a motor file: {error}") from None
+    _known(document, _TOP, where, "")
+    if document.get("schema") != SCHEMA:
+        raise ModelError(f"{where}: schema is {document.get('schema')!r}, expected {SCHEMA!r}")
+    rated = document.get("rated", {})
+    _known(rated, tuple(Rated.__dataclass_fields__), where, "rated")
+    try:
+        plate = Rated(**rated)
+    except TypeError as error:
+        missing = str(error).partition(": ")[2] or str(error)
+        raise ModelError(f"{where}: [rated] lacks {missing}") from None
+    known: dict[str, Knowledge] = {}
+    table = document.get("parameters", {})
+    absent = [name for name in parameters(Motor) if name not in table]
+    if absent:
+        raise ModelError(f"{where}: [parameters] lacks {', '.join(absent)}")
+    motor = Motor(**_values(table, parameters(Motor), where, "", known))
+    available = catalogue() | {effect.name(): effect for effect in effects_from}
+    parts = document.get("effects", {})
+    _known(parts, tuple(available), where, "effects")
+    for name, entries in parts.items():
+        effect = available[name]
+        motor = motor.with_effect(effect(**_values(entries, effect.parameters(), where, name, known)))
+    models = sensor_catalogue()
+    faults = document.get("sensors", {})
+    _known(faults, tuple(models), where, "sensors")
+    sensors = tuple(
+        replace(models[name], **_values(entries, models[name].parameters(), where, name, known))
+        for name, entries in faults.items()
+    )
+    name = str(document.get("name", Path(path).stem))
+    return MotorFile(name, motor, plate, sensors, known, str(document.get("description", "")), text)
+
+
+def write_motor_file(file: MotorFile, path: Path | str) -> None:
+    """Write a motor file; comments and order of the text it was read from are kept, what is gone is removed."""
+    Path(path).write_text(to_toml(file), encoding="utf-8")
+
+
+def to_toml(file: MotorFile) -> str:
+    """The TOML of a motor file, comments and order of the text it was read from kept."""
+    import tomlkit
+
+    document = tomlkit.parse(file.text)
+    document["schema"] = SCHEMA
+    document["name"] = file.name
+    if file.description:
+        document["description"] = file.description
+    rated = document.setdefault("rated", tomlkit.table())
+    for name in Rated.__dataclass_fields__:
+        _update(rated, name, getattr(file.rated, name))
+    values = file.values()
+    sections = {"parameters": [key for key in values if "." not in key]}
+    for owner in (*file.motor.effects, *file.sensors):
+        section = "effects" if isinstance(owner, Effect) else "sensors"
+        sections[f"{section}.{owner.name()}"] = [f"{owner.name()}.{name}" for name in owner.parameters()]
+    for section in ("effects", "sensors"):
+        for name in [name for name in document.get(section, {}) if f"{section}.{name}" not in sections]:
+            del document[section][name]
+    for section, keys in sections.items():
+        group, _, name = section.partition(".")
+        table = document.setdefault(group, tomlkit.table(is_super_table=bool(name)))
+        if name:
+            table = table.setdefault(name, tomlkit.table())
+        for key in keys:
+            entry = table.setdefault(key.rpartition(".")[2], tomlkit.inline_table())
+            known = file.knowledge.get(key, Knowledge())
+            _update(entry, "value", float(values[key]))
+            _update(entry, "unit", file.meaning(key).unit)
+            if known.sd is not None:
+                _update(entry, "sd", float(known.sd))
+            if known.source:
+                _update(entry, "source", known.source)
+    return tomlkit.dumps(document)
+
+
+def _update(table: Any, key: str, value: Any) -> None:
+    # Writing an unchanged value would drop the way it was spelled (18e3).
+    if key not in table or table[key] != value:
+        table[key] = value
+
+
+def _known(table: Mapping[str, Any], known: tuple[str, ...], where: str, section: str) -> None:
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+            raise ModelError(f"{where}: {f'[{section}] ' if section else ''}unknown key {key!r}; {hint}")
+
+
+def _values(
+    table: Mapping[str, Any],
+    declared: Mapping[str, Parameter],
+    where: str,
+    owner: str,
+    known: dict[str, Knowledge],
+) -> dict[str, float]:
+    section = owner or "parameters"
+    _known(table, tuple(declared), where, section)
+    values = {}
+    for name, entry in table.items():
+        what = declared[name]
+        entry = entry if isinstance(entry, Mapping) else {"value": entry}
+        _known(entry, _ENTRY, where, f"{section}.{name}")
+        value = entry.get("value")
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise ModelError(f"{where}: [{section}] {name} has no number as its value")
+        if entry.get("unit", what.unit) != what.unit:
+            raise ModelError(f"{where}: [{section}] {name} is in {entry['unit']!r}, expected {what.unit!r}")
+        if not what.bounds[0] <= value <= what.bounds[1]:
+            raise ModelError(
+                f"{where}: [{section}] {name} = {value:g} is outside {what.bounds[0]:g} to {what.bounds[1]:g} {what.unit}"
+            )
+        values[name] = float(value)
+        known[f"{owner}.{name}" if owner else name] = Knowledge(entry.get("sd"), str(entry.get("source", "")))
+    return values
+
+
+def parse_override(argument: str) -> tuple[str, float]:
+    """Turn `coulomb_friction.tau_c=0.3` (or `R_a0=3.6`) into a key and a value.
+
+    Raises:
+        DataError: no `=`, or no number behind it.
+    """
+    key, equals, value = argument.partition("=")
+    try:
+        return key, float(value)
+    except ValueError:
+        raise DataError(f"{argument!r}: write NAME=NUMBER, for example coulomb_friction.tau_c=0.3") from None

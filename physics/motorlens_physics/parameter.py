@@ -1,0 +1,109 @@
+"""Parameters: a number in a frozen dataclass that carries its unit, meaning, bounds and prior.
+
+`param(...)` is a thin `dataclasses.field`; the values are the fields, what they mean is the field's metadata.
+"""
+
+import dataclasses
+import re
+from dataclasses import dataclass
+from typing import Any
+
+_KEY = "motorlens"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What is known of a parameter before any measurement.
+
+    Attributes:
+        name: the field's name, the symbol of its equation.
+        unit: in the spelling of `motorlens_physics.units`, such as "N*m" or "V*s/rad".
+        description: one phrase.
+        default: the value of a motor or an effect made without arguments.
+        bounds: the physically possible values, both ends included.
+        prior: typical size as a multiple of `of`; also the standard deviation of the prior around `null`
+            (or around the default where there is no null).
+        of: what `prior` is a multiple of, a product of powers of the rated quantities of a motor such as
+            "torque/speed^2"; "1" for an absolute figure in `unit`.
+        null: the value at which the effect vanishes; None for a parameter that only shapes it.
+        fixed: stated by choice, never calibrated (the width of a smoothing, a number of slots).
+    """
+
+    name: str
+    unit: str
+    description: str
+    default: float
+    bounds: tuple[float, float]
+    prior: float
+    of: str
+    null: float | None
+    fixed: bool
+
+    def typical(self, rated: "Rated") -> float:
+        """The typical size in `unit` for a motor of these ratings."""
+        return self.prior * rated.scale(self.of)
+
+
+@dataclass(frozen=True)
+class Rated:
+    """The rating plate: what the motor is made for. Sizes of effects are stated as shares of it."""
+
+    voltage_V: float
+    current_A: float
+    speed_rad_s: float
+    torque_Nm: float
+    rise_K: float = 60.0
+    ambient_C: float = 20.0
+
+    def scale(self, of: str) -> float:
+        """Evaluate a product of powers of rated quantities.
+
+        >>> Rated(voltage_V=24.0, current_A=2.0, speed_rad_s=300.0, torque_Nm=0.1).scale("torque/speed^2") * 9e5
+        1.0
+        """
+        powers = {
+            "1": 1.0,
+            "voltage": self.voltage_V,
+            "current": self.current_A,
+            "speed": self.speed_rad_s,
+            "torque": self.torque_Nm,
+            "rise": self.rise_K,
+            "power": self.voltage_V * self.current_A,
+        }
+        value = 1.0
+        for operator, word, exponent in re.findall(r"([*/]?)([a-z1]+)(?:\^([0-9.]+))?", of):
+            factor = powers[word] ** float(exponent or 1)
+            value = value / factor if operator == "/" else value * factor
+        return value
+
+
+def param(
+    default: float,
+    unit: str,
+    description: str,
+    *,
+    bounds: tuple[float, float],
+    prior: float,
+    of: str = "1",
+    null: float | None = None,
+    fixed: bool = False,
+) -> Any:
+    """Declare a parameter of a motor, an effect or a sensor model; see `Parameter` for the arguments."""
+    meaning = {
+        "unit": unit,
+        "description": description,
+        "bounds": bounds,
+        "prior": prior,
+        "of": of,
+        "null": null,
+    }
+    return dataclasses.field(default=default, metadata={_KEY: meaning | {"fixed": fixed}})
+
+
+def parameters(owner: Any) -> dict[str, Parameter]:
+    """The parameters of a dataclass or an instance of one, by name, in the order of their declaration."""
+    return {
+        field.name: Parameter(name=field.name, default=field.default, **field.metadata[_KEY])
+        for field in dataclasses.fields(owner)
+        if _KEY in field.metadata
+    }
