@@ -154,7 +154,7 @@ def _recognise(heading: str) -> tuple[str, str] | None:
                 return quantity, bracketed[2]
         return None
     for quantity, (unit, names) in QUANTITIES.items():
-        if heading.lower() in (quantity, quantity.replace("_", " ")):
+        if re.sub(r"[\s_]", "", heading).lower() in (quantity.replace("_", ""), *names):
             return quantity, unit
         for name in (quantity, *names):
             if heading.lower().startswith(name + "_"):
