@@ -229,3 +229,43 @@ def parse_override(argument: str) -> tuple[str, float]:
         return key, float(value)
     except ValueError:
         raise DataError(f"{argument!r}: write NAME=NUMBER, for example coulomb_friction.tau_c=0.3") from None
+
+
+def with_overrides(
+    file: MotorFile, overrides: Mapping[str, float], own: Mapping[str, type[Effect]] | None = None
+) -> MotorFile:
+    """A copy with parameters set by key; effects and sensor models named for the first time are added.
+
+    Args:
+        file: the motor file.
+        overrides: such as {"R_a0": 3.6, "coulomb_friction.tau_c": 0.3, "speed_sensor_gain.gain": 1.02}.
+        own: effects from outside the catalogue, by name.
+
+    Raises:
+        DataError: an unknown effect, sensor model or parameter (with the nearest known one), or a value out of bounds.
+    """
+    effects, models = catalogue() | dict(own or {}), sensor_catalogue()
+    for key, value in overrides.items():
+        owner, _, name = key.rpartition(".")
+        if owner and owner not in {part.name() for part in (*file.motor.effects, *file.sensors)}:
+            if owner in effects:
+                file = replace(file, motor=file.motor.with_effect(effects[owner]()))
+            elif owner in models:
+                file = replace(file, sensors=(*file.sensors, models[owner]))
+            else:
+                raise DataError(
+                    f"{key}: unknown effect or sensor model {owner!r}; {_near(owner, (*effects, *models))}"
+                )
+        declared = [known for known in file.values() if known.rpartition(".")[0] == owner]
+        if key not in declared:
+            raise DataError(f"{key}: unknown parameter; {_near(key, declared)}")
+        low, high = file.meaning(key).bounds
+        if not low <= value <= high:
+            raise DataError(f"{key}={value:g} is outside {low:g} to {high:g} {file.meaning(key).unit}")
+        file = file.with_values({key: value})
+    return file
+
+
+def _near(word: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"

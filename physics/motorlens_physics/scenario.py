@@ -1,0 +1,181 @@
+"""Scenarios: the tests an engineer would run, planned from the rating plate and performed on a simulated motor.
+
+A scenario is one frozen dataclass in one file of `scenarios/`, found because it is there. Its `plan` says what is
+done to the motor; `perform` does it, and `measure` adds what sensors and noise make of it.
+"""
+
+import importlib
+import pkgutil
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.recording import Array, Recording
+from motorlens_physics.sensor_model import SensorModel
+from motorlens_physics.simulation import Inputs, Trajectory, simulate
+
+# An open circuit is an armature resistance this many times the real one.
+OPEN_CIRCUIT = 1e6
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of a test: what is applied, and whether the terminals are open (the voltage is then ignored)."""
+
+    inputs: Inputs
+    open_circuit: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Phases one after another, from an initial state (see `Motor.states`)."""
+
+    phases: tuple[Phase, ...]
+    initial: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Base of all scenarios. `duration_s` and `period_s` 0 mean: as the motor's time constants ask for."""
+
+    duration_s: float = 0.0
+    period_s: float = 0.0
+
+    @classmethod
+    def name(cls) -> str:
+        """The name on the command line: that of the class in lower case with underscores."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+
+    def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
+        """What to do to this motor."""
+        raise TypeError(f"{type(self).__name__} has no plan")
+
+
+def scenarios() -> dict[str, type[Scenario]]:
+    """All scenarios by name; the folder `scenarios/` is the list."""
+    from motorlens_physics import scenarios as folder
+
+    found: dict[str, type[Scenario]] = {}
+    for info in pkgutil.iter_modules(folder.__path__):
+        module = importlib.import_module(f"{folder.__name__}.{info.name}")
+        for thing in vars(module).values():
+            if (
+                isinstance(thing, type)
+                and issubclass(thing, Scenario)
+                and thing.__module__ == module.__name__
+            ):
+                found[thing.name()] = thing
+    return dict(sorted(found.items()))
+
+
+@dataclass(frozen=True)
+class TimeConstants:
+    """How fast a motor is, in seconds: L/R, R J/ke^2 (Leonhard, Control of Electrical Drives, 3rd ed., ch. 6), H/k0."""
+
+    electrical_s: float
+    mechanical_s: float
+    thermal_s: float
+
+
+def time_constants(motor: Motor) -> TimeConstants:
+    """The three time constants of a motor, from the textbook part of its model."""
+    return TimeConstants(motor.L / motor.R_a0, motor.R_a0 * motor.J / motor.ke**2, motor.H / motor.k0)
+
+
+def perform(file: MotorFile, scenario: Scenario, rng: np.random.Generator) -> Recording:
+    """Run a scenario on a motor and record everything truly, sensors and noise left out.
+
+    Channels: voltage, current, speed, temperature (winding), resistance, load torque, ambient, and the shaft angle where
+    an effect of the motor keeps one.
+    """
+    plan = scenario.plan(file, rng)
+    state: Mapping[str, float] = plan.initial
+    pieces = []
+    for phase in plan.phases:
+        trajectory = _run(file.motor, phase, state)
+        state = {name: float(values[-1]) for name, values in trajectory.states.items()}
+        # The last sample of a phase is the first of the next one.
+        pieces.append(_channels(file.motor, phase, trajectory, keep_last=phase is plan.phases[-1]))
+    joined = {q: np.concatenate([piece[q] for piece in pieces]) for q in pieces[0]}
+    return Recording(scenario.name(), joined.pop("time"), joined)
+
+
+def measure(
+    recording: Recording,
+    sensors: tuple[SensorModel, ...],
+    noise: Mapping[str, float],
+    rng: np.random.Generator,
+) -> Recording:
+    """What the sensors show of a true recording: sensor models applied, then white Gaussian noise.
+
+    Args:
+        recording: the truth.
+        sensors: models applied in their order; a channel without one is ideal.
+        noise: channel to standard deviation in the channel's unit.
+        rng: where the noise comes from.
+    """
+    channels = dict(recording.channels)
+    for sensor in sensors:
+        if sensor.channel in channels:
+            y = channels[sensor.channel]
+            channels[sensor.channel] = np.asarray(sensor.read(y, np.gradient(y, recording.time_s)))
+    for channel in sorted(noise):
+        if channel in channels:
+            channels[channel] = channels[channel] + noise[channel] * rng.standard_normal(len(recording))
+    return replace(recording, channels=channels)
+
+
+def grid(duration_s: float, period_s: float, start_s: float = 0.0) -> Array:
+    """Evenly spaced times from `start_s`, both ends included."""
+    return start_s + period_s * np.arange(round(duration_s / period_s) + 1)
+
+
+def constant(time_s: Array, voltage_V: float, load_torque_Nm: float, ambient_C: float) -> Inputs:
+    """Inputs that do not change."""
+    ones = np.ones_like(time_s)
+    return Inputs(time_s, voltage_V * ones, load_torque_Nm * ones, ambient_C * ones, held=True)
+
+
+def steps(time_s: Array, at_s: Array, values: Array) -> Array:
+    """A staircase on a time grid: `values[k]` from `at_s[k]` on."""
+    return np.asarray(values[np.searchsorted(at_s, time_s, side="right") - 1])
+
+
+def _run(motor: Motor, phase: Phase, state: Mapping[str, float]) -> Trajectory:
+    if not phase.open_circuit:
+        return simulate(motor, phase.inputs, state)
+    opened = replace(motor, R_a0=motor.R_a0 * OPEN_CIRCUIT)
+    return simulate(opened, replace(phase.inputs, voltage_V=0 * phase.inputs.voltage_V), {**state, "i": 0.0})
+
+
+def _channels(motor: Motor, phase: Phase, trajectory: Trajectory, keep_last: bool) -> dict[str, Array]:
+    inputs, states = trajectory.inputs, dict(trajectory.states)
+    voltage, current, load = inputs.voltage_V, trajectory.current_A, inputs.load_torque_Nm
+    if phase.open_circuit:
+        # No current flows, and the terminals show the back-EMF: the voltage that would balance at i = 0.
+        current = np.zeros_like(current)
+        x = SimpleNamespace(**{**states, "i": current})
+        u = SimpleNamespace(v=0.0, load=load, ambient=inputs.ambient_C, t=inputs.time_s)
+        voltage = -np.asarray(motor.balances(x, u)[0])
+    # A brake that holds a resting rotor takes up the motor's torque, no more.
+    resting = trajectory.speed_rad_s == 0
+    load = np.where(resting & (load != 0), np.clip(motor.ke * current, -np.abs(load), np.abs(load)), load)
+    channels: dict[str, Any] = {
+        "time": inputs.time_s,
+        "voltage": voltage,
+        "current": current,
+        "speed": trajectory.speed_rad_s,
+        "temperature": trajectory.temperature_C,
+        "resistance": motor.resistance(trajectory.rise_K),
+        "load_torque": load,
+        "ambient": inputs.ambient_C,
+    }
+    if "phi" in states:
+        channels["angle"] = states["phi"]
+    return {q: np.asarray(y, dtype=np.float64)[: None if keep_last else -1] for q, y in channels.items()}
