@@ -7,7 +7,7 @@ done to the motor; `perform` does it, and `measure` adds what sensors and noise 
 import importlib
 import pkgutil
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -16,9 +16,11 @@ import numpy as np
 
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Array, Recording
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
+from motorlens_runtime.errors import DataError
 
 # An open circuit is an armature resistance this many times the real one.
 OPEN_CIRCUIT = 1e6
@@ -72,6 +74,20 @@ def scenarios() -> dict[str, type[Scenario]]:
             ):
                 found[thing.name()] = thing
     return dict(sorted(found.items()))
+
+
+def chosen_scenario(name: str, duration_s: float, rate_Hz: float) -> Scenario:
+    """The scenario that a command line asks for; 0 leaves duration or rate to the scenario.
+
+    Raises:
+        DataError: no such scenario, or a negative number.
+    """
+    known = scenarios()
+    if name not in known:
+        raise DataError(f"--scenario {name}: unknown; known: {', '.join(known)}")
+    if min(duration_s, rate_Hz) < 0:
+        raise DataError("--duration and --rate are positive numbers")
+    return known[name](duration_s, 1 / rate_Hz if rate_Hz else 0.0)
 
 
 @dataclass(frozen=True)
@@ -129,6 +145,35 @@ def measure(
         if channel in channels:
             channels[channel] = channels[channel] + noise[channel] * rng.standard_normal(len(recording))
     return replace(recording, channels=channels)
+
+
+def parse_noise(arguments: Sequence[str], plate: Rated) -> dict[str, float]:
+    """Turn `--noise` arguments into channel to standard deviation: `current=0.05`, `speed=1%`, or `0.5%` for all.
+
+    Raises:
+        DataError: an unknown channel, or no number.
+    """
+    scales = {
+        "voltage": plate.voltage_V, "current": plate.current_A, "speed": plate.speed_rad_s,
+        "temperature": plate.rise_K, "load_torque": plate.torque_Nm,
+    }  # fmt: skip
+    noise: dict[str, float] = {}
+    for argument in arguments:
+        channel, equals, size = argument.rpartition("=")
+        try:
+            share = float(size.removesuffix("%")) / 100 if size.endswith("%") else None
+            sd = float(size) if share is None else 0.0
+        except ValueError:
+            raise DataError(f"--noise {argument}: write current=0.05 or 0.5%") from None
+        if equals and channel not in scales:
+            raise DataError(f"--noise {argument}: unknown channel; known: {', '.join(scales)}")
+        if not equals and share is None:
+            raise DataError(
+                f"--noise {argument}: say of which channel ({channel or 'current'}=...), or a share such as 0.5%"
+            )
+        for name in [channel] if equals else scales:
+            noise[name] = sd if share is None else share * scales[name]
+    return noise
 
 
 def grid(duration_s: float, period_s: float, start_s: float = 0.0) -> Array:

@@ -10,15 +10,9 @@ coast_down, no_load_steps, load_steps. The recording holds time_s, voltage_V, cu
 """
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from motorlens_runtime.cli import add_json_argument, write_json
-from motorlens_runtime.errors import DataError
-
-if TYPE_CHECKING:
-    from motorlens_physics.parameter import Rated
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,21 +42,16 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.effect import load_effects
     from motorlens_physics.motor_file import parse_override, read_motor_file, with_overrides
     from motorlens_physics.recording import write_recording
-    from motorlens_physics.scenario import measure, perform, scenarios
+    from motorlens_physics.scenario import chosen_scenario, measure, parse_noise, perform
 
-    known = scenarios()
-    if arguments.scenario not in known:
-        raise DataError(f"--scenario {arguments.scenario}: unknown; known: {', '.join(known)}")
-    if min(arguments.duration, arguments.rate) < 0:
-        raise DataError("--duration and --rate are positive numbers")
+    scenario = chosen_scenario(arguments.scenario, arguments.duration, arguments.rate)
     own = load_effects(arguments.effects_from) if arguments.effects_from else {}
     file = read_motor_file(arguments.motor, own.values())
     overrides = dict(parse_override(text) for text in (*arguments.settings, *arguments.effect))
     file = with_overrides(file, overrides, own)
-    scenario = known[arguments.scenario](arguments.duration, 1 / arguments.rate if arguments.rate else 0.0)
     rng = np.random.default_rng(arguments.seed)
     truth = perform(file, scenario, rng)
-    noise = _noise(arguments.noise, file.rated)
+    noise = parse_noise(arguments.noise, file.rated)
     recording = measure(truth, file.sensors, noise, rng)
     write_recording(replace(recording, name=arguments.output), arguments.output)
     print(
@@ -81,27 +70,3 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.json,
     )  # fmt: skip
     return 0
-
-
-def _noise(arguments: list[str], plate: "Rated") -> Mapping[str, float]:
-    scales = {
-        "voltage": plate.voltage_V, "current": plate.current_A, "speed": plate.speed_rad_s,
-        "temperature": plate.rise_K, "load_torque": plate.torque_Nm,
-    }  # fmt: skip
-    noise: dict[str, float] = {}
-    for argument in arguments:
-        channel, equals, size = argument.rpartition("=")
-        try:
-            share = float(size.removesuffix("%")) / 100 if size.endswith("%") else None
-            sd = float(size) if share is None else 0.0
-        except ValueError:
-            raise DataError(f"--noise {argument}: write current=0.05 or 0.5%") from None
-        if equals and channel not in scales:
-            raise DataError(f"--noise {argument}: unknown channel; known: {', '.join(scales)}")
-        if not equals and share is None:
-            raise DataError(
-                f"--noise {argument}: say of which channel ({channel or 'current'}=...), or a share such as 0.5%"
-            )
-        for name in [channel] if equals else scales:
-            noise[name] = sd if share is None else share * scales[name]
-    return noise

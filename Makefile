@@ -1,0 +1,43 @@
+# Two commands on a fresh machine: `make demo` runs the main job, `make test` the tests. Each sets up .venv by itself.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: install demo test check bench hil sensor clean
+
+install: .venv/everything
+
+# What the demo needs: the runtime and the simulated drive, no torch.
+.venv/demo: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(PIP) --constraint constraints.txt --editable '.[workbench]'
+	touch $@
+
+.venv/everything: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(PIP) --constraint constraints.txt --editable '.[all,dev]'
+	touch $@
+
+demo: .venv/demo
+	$(BIN)/python examples/live_demo.py
+
+test: .venv/everything
+	$(BIN)/python -m pytest
+
+check: .venv/everything
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest
+	@echo "All good."
+
+bench: .venv/everything
+	for benchmark in benchmarks/*.py; do echo "== $$benchmark"; $(BIN)/python $$benchmark $(BENCH_ARGUMENTS) || exit 1; done
+
+# Rebuild the shipped sensor from its seed.
+sensor: .venv/everything
+	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
+
+clean:
+	rm -rf .venv out dist build
