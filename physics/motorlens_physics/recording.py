@@ -115,6 +115,8 @@ def _read_csv(path: Path, chosen: Mapping[str, str]) -> tuple[dict[str, Column],
     headings = next(csv.reader([first.rstrip("\r")], delimiter=delimiter))
     columns = understand(headings, chosen, str(path))
     require(columns, ("time", "voltage"), headings, str(path))
+    if not body.strip():
+        raise DataError(f"{path}: 0 rows of data; a recording needs at least two")
     used = [column.index for column in columns.values()]
     try:
         numbers = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=used, ndmin=2)
