@@ -1,21 +1,29 @@
 """What an effect is: one frozen dataclass in one file, entering the balances whose methods it defines.
 
 An effect adds a term to the textbook motor. `voltage` adds to the electrical balance (V, L di/dt), `torque` to the
-mechanical one (N m, J dw/dt), `heat` to the thermal one (W, H dtheta/dt); `rates` gives the time derivatives of states
-the effect brings along. An effect may read the motor's parameters and all states, never another effect.
+mechanical one (N m, J dw/dt), `heat` to the thermal one (W, H dtheta/dt), `inductance` to L (H); `rates` gives the time
+derivatives of states the effect brings along. An effect may read the motor's parameters and all states, never another
+effect; two effects may share a state (the shaft angle `phi`) if they give it the same rate.
 
 Signs: a term that opposes the current or the motion is negative, as it stands on the right-hand side.
+
+Exactly one parameter has a `null`: the switch. The others shape the effect and do nothing while the switch is at null,
+so that whether the effect is missing is one question with one answer.
 """
 
 import importlib
+import importlib.util
 import pkgutil
 import re
+import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
+from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
-from motorlens_physics.parameter import Parameter, parameters
+from motorlens_physics.parameter import Parameter, Rated, parameters
+from motorlens_runtime.errors import DataError
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,8 @@ class Effect:
     states: ClassVar[Mapping[str, State]] = {}
     # Names of the scenarios of `motorlens simulate` that make the effect visible, the best first.
     excited_by: ClassVar[tuple[str, ...]] = ()
+    # Whether `torque` is friction: `friction_heat` returns a share of its power to the winding.
+    friction: ClassVar[bool] = False
 
     @classmethod
     def name(cls) -> str:
@@ -49,6 +59,25 @@ class Effect:
         """The parameters by name."""
         return parameters(cls)
 
+    @classmethod
+    def switch(cls) -> Parameter:
+        """The parameter that switches the effect on: the one with a `null`."""
+        (switch,) = (parameter for parameter in cls.parameters().values() if parameter.null is not None)
+        return switch
+
+    @classmethod
+    def at_null(cls, rated: Rated) -> Self:
+        """The effect switched off, its shape as it is typical for a motor of this rating plate."""
+        switch = cls.switch()
+        return cls(
+            **{name: p.typical(rated) for name, p in cls.parameters().items()} | {switch.name: switch.null}
+        )
+
+    @classmethod
+    def typical(cls, rated: Rated) -> Self:
+        """The effect at its typical size for a motor of this rating plate."""
+        return cls(**{name: p.typical(rated) for name, p in cls.parameters().items()})
+
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
         """Added to v - R i - ke w, in V."""
         return 0.0
@@ -59,6 +88,10 @@ class Effect:
 
     def heat(self, m: Any, x: Any, u: Any) -> Any:
         """Added to the losses minus the cooling of the winding, in W."""
+        return 0.0
+
+    def inductance(self, m: Any, x: Any, u: Any) -> Any:
+        """Added to the inductance L that stands before di/dt, in H."""
         return 0.0
 
     def rates(self, m: Any, x: Any, u: Any) -> Mapping[str, Any]:
@@ -87,3 +120,52 @@ def effects_in(module: ModuleType) -> dict[str, type[Effect]]:
         for thing in vars(module).values()
         if isinstance(thing, type) and issubclass(thing, Effect) and thing.__module__ == module.__name__
     }
+
+
+def load_effects(path: Path | str) -> dict[str, type[Effect]]:
+    """The effects in a user's own Python file, by name: what `--effects-from my_effects.py` reads.
+
+    Raises:
+        DataError: the file is not there, does not run, holds no effect, or one that is not of the shape of an effect.
+    """
+    path = Path(path)
+    where = str(path)
+    if not path.is_file():
+        raise DataError(f"{where}: no such file; give the Python file that holds your effects")
+    # A name of its own per file: dataclasses and pickling look the module up again.
+    name = "motorlens_effects_from_" + re.sub(r"\W", "_", str(path.resolve()))
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise DataError(f"{where}: not a Python file; effects are written in a file that ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        raise DataError(f"{where}, line {error.lineno}: not Python: {error.msg}") from None
+    except Exception as error:
+        raise DataError(f"{where}: does not run: {type(error).__name__}: {error}") from None
+    found = effects_in(module)
+    if not found:
+        raise DataError(f"{where}: defines no effect; write a frozen dataclass derived from Effect")
+    for own in found.values():
+        _check_shape(own, where)
+    taken = sorted(found.keys() & catalogue().keys())
+    if taken:
+        raise DataError(f"{where}: {taken[0]} is already in the catalogue; give your effect another name")
+    return found
+
+
+def _check_shape(effect: type[Effect], where: str) -> None:
+    """Refuse an effect that would fail far from here, with the reason."""
+    # A subclass of a frozen dataclass that forgot the decorator would silently have no parameters.
+    if not (is_dataclass(effect) and "__dataclass_params__" in vars(effect)):
+        raise DataError(
+            f"{where}: {effect.__name__} is not a frozen dataclass; decorate it with @dataclass(frozen=True)"
+        )
+    switches = [name for name, parameter in effect.parameters().items() if parameter.null is not None]
+    if len(switches) != 1:
+        raise DataError(
+            f"{where}: {effect.__name__} needs exactly one parameter with null=..., the value at which it vanishes; "
+            f"it has {', '.join(switches) or 'none'}"
+        )

@@ -12,11 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.ops import magnitude
+from motorlens_physics.ops import turning
 from motorlens_physics.parameter import param
-
-# Speed within which |w| is rounded off in the cooling law, rad/s: far below any speed at which a fan blows.
-FAN_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -74,10 +71,25 @@ class Motor:
         """Armature resistance at a winding rise theta (K), in ohm."""
         return self.R_a0 * (1 + self.alpha * theta)
 
+    def inductance(self, x: Any, u: Any) -> Any:
+        """The inductance that stands before di/dt, effects included, in H."""
+        L = self.L
+        for effect in self.effects:
+            L = L + effect.inductance(self, x, u)
+        return L
+
+    def friction_power(self, x: Any, u: Any) -> Any:
+        """What friction takes from the shaft, viscous and that of the effects, in W."""
+        power = self.b * x.w**2
+        for effect in self.effects:
+            if effect.friction:
+                power = power - effect.torque(self, x, u) * x.w
+        return power
+
     def balances(self, x: Any, u: Any) -> tuple[Any, Any, Any]:
         """Right-hand sides of the three balances: voltage (V), torque (N m), heat (W), effects included."""
         R = self.resistance(x.theta)
-        cooling = self.k0 * (1 + self.kT * self._turning(x.w)) * x.theta
+        cooling = self.k0 * (1 + self.kT * turning(x.w)) * x.theta
         voltage = u.v - R * x.i - self.ke * x.w
         torque = self.ke * x.i - self.b * x.w - u.load
         heat = R * x.i**2 + self.k_ir * x.w**2 - cooling
@@ -90,7 +102,7 @@ class Motor:
     def rates(self, x: Any, u: Any) -> dict[str, Any]:
         """Time derivatives of all states: i (A/s), w (rad/s^2), theta (K/s) and those the effects bring."""
         voltage, torque, heat = self.balances(x, u)
-        rates = {"i": voltage / self.L, "w": torque / self.J, "theta": heat / self.H}
+        rates = {"i": voltage / self.inductance(x, u), "w": torque / self.J, "theta": heat / self.H}
         for effect in self.effects:
             rates |= effect.rates(self, x, u)
         return rates
@@ -112,8 +124,3 @@ class Motor:
     def without_effect(self, name: str) -> "Motor":
         """This motor without the effect of that name."""
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name() != name))
-
-    @staticmethod
-    def _turning(w: Any) -> Any:
-        # A quantity with units gets a rounding in its own unit; numbers and symbols get it in rad/s.
-        return magnitude(w, FAN_ROUNDING * getattr(w, "units", 1))

@@ -4,6 +4,7 @@ Physics is written once: the same method is evaluated on numbers, on batches, on
 compile it) and, in tests, on quantities with units. Only the functions differ, and these choose by argument.
 """
 
+import math
 import sys
 from typing import Any
 
@@ -40,7 +41,26 @@ def magnitude(z: Any, rounding: Any) -> Any:
     return sqrt(z * z + rounding * rounding) - rounding
 
 
+# Speed within which |w| is rounded off, rad/s: far below any speed at which a fan blows or iron is remagnetised.
+SPEED_ROUNDING = 1e-3
+
+
+def turning(w: Any) -> Any:
+    """|w|, rounded off within 1e-3 rad/s of rest so that it has a derivative there."""
+    return magnitude(w, SPEED_ROUNDING * unit(w))
+
+
+def kelvin(celsius: Any) -> Any:
+    """Absolute temperature in K of a temperature in degC."""
+    return celsius + 273.15 * unit(celsius)
+
+
+def unit(z: Any) -> Any:
+    """The unit of a quantity, for a constant that is added to it; 1 for numbers and symbols."""
+    return getattr(z, "units", 1)
+
+
 def _apply(name: str, z: Any) -> Any:
     if hasattr(z, "free_symbols"):
         return getattr(sys.modules["sympy"], name)(z)
-    return getattr(np, name)(z)
+    return getattr(math if isinstance(z, float | int) else np, name)(z)

@@ -40,8 +40,14 @@ class Parameter:
     fixed: bool
 
     def typical(self, rated: "Rated") -> float:
-        """The typical size in `unit` for a motor of these ratings."""
-        return self.prior * rated.scale(self.of)
+        """The typical value in `unit` for a motor of this rating plate, within the bounds.
+
+        A switch is typically one prior away from its null; a shape is what the plate makes it, or its default where
+        its prior is an absolute figure.
+        """
+        size = self.prior * rated.scale(self.of)
+        value = size + self.null if self.null is not None else self.default if self.of == "1" else size
+        return min(max(value, self.bounds[0]), self.bounds[1])
 
 
 @dataclass(frozen=True)
@@ -58,8 +64,8 @@ class Rated:
     def scale(self, of: str) -> float:
         """Evaluate a product of powers of rated quantities.
 
-        >>> Rated(voltage_V=24.0, current_A=2.0, speed_rad_s=300.0, torque_Nm=0.1).scale("torque/speed^2") * 9e5
-        1.0
+        >>> Rated(voltage_V=24.0, current_A=2.0, speed_rad_s=40.0, torque_Nm=0.5).scale("torque/speed^2")  # 0.5 / 1600
+        0.0003125
         """
         powers = {
             "1": 1.0,

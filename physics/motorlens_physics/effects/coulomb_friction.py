@@ -21,6 +21,7 @@ class CoulombFriction(Effect):
     """
 
     excited_by: ClassVar[tuple[str, ...]] = ("no_load_steps", "coast_down")
+    friction: ClassVar[bool] = True
 
     tau_c: float = param(0.0, "N*m", "Coulomb torque", bounds=(0.0, 1e3), prior=0.03, of="torque", null=0.0)
     w_s: float = param(
