@@ -1,0 +1,64 @@
+"""Whitening against a known vector autoregression, and quantisation steps against a known converter."""
+
+import numpy as np
+import pytest
+from motorlens_workbench.whitening import fit_whitener, quantisation_step, white
+
+
+def coloured(rows: int, seed: int) -> np.ndarray:
+    """Two channels that share a slow disturbance, by a recursion written out."""
+    rng = np.random.default_rng(seed)
+    e = rng.standard_normal((rows, 2))
+    y = np.zeros((rows, 2))
+    for t in range(1, rows):
+        y[t, 0] = 0.9 * y[t - 1, 0] + 0.5 * e[t, 0]
+        y[t, 1] = 0.3 * y[t - 1, 1] - 0.6 * y[t - 1, 0] + 0.8 * y[t, 0] + 0.2 * e[t, 1]
+    return y
+
+
+def test_the_filter_of_a_known_process_is_found():
+    y = coloured(40_000, 1)
+    whitener = fit_whitener(y, np.ones(len(y), bool), np.zeros(2))
+    assert whitener.sigma == pytest.approx([0.5, 0.2], rel=0.02)
+    assert whitener.coefficients[0, 1, 0] == pytest.approx(0.8, abs=0.02)
+    assert whitener.coefficients[1, 0, 0] == pytest.approx(0.9, abs=0.02)
+    assert whitener.coefficients[1, 1, 0] == pytest.approx(-0.6, abs=0.02)
+    z = whitener(y)[whitener.order :]
+    products = z[:-1].T @ z[1:] / len(z)
+    assert np.abs(products).max() < 4 / np.sqrt(len(z))
+    assert np.cov(z.T) == pytest.approx(np.eye(2), abs=0.03)
+
+
+def test_columns_are_filtered_like_the_residual():
+    y = coloured(4000, 2)
+    whitener = fit_whitener(y, np.ones(len(y), bool), np.zeros(2))
+    columns = np.stack([y, 3 * y, y[:, ::-1]], axis=2)
+    filtered = whitener(columns)
+    assert filtered[:, :, 0] == pytest.approx(whitener(y))
+    assert filtered[:, :, 1] == pytest.approx(3 * whitener(y))
+
+
+def test_invalid_rows_do_not_count():
+    y = coloured(20_000, 3)
+    valid = np.ones(len(y), bool)
+    valid[5000:6000] = False
+    broken = y.copy()
+    broken[5000:6000] = 1e6
+    whitener = fit_whitener(broken, valid, np.zeros(2))
+    assert whitener.sigma == pytest.approx([0.5, 0.2], rel=0.05)
+
+
+def test_sigma_has_a_floor():
+    y = np.full((1000, 1), 1e-12) * np.sin(np.arange(1000))[:, None]
+    assert fit_whitener(y, np.ones(1000, bool), np.array([0.01])).sigma[0] == 0.01
+    assert white(np.array([2.0]))(np.full((3, 1), 4.0)) == pytest.approx(np.full((3, 1), 2.0))
+
+
+@pytest.mark.parametrize("step", [0.005, 0.019, 1.0])
+def test_quantisation_step_of_a_converter(step):
+    rng = np.random.default_rng(4)
+    y = step * np.round(
+        (np.sin(np.linspace(0, 20, 20_000)) * 60 * step + step * rng.standard_normal(20_000)) / step
+    )
+    assert quantisation_step(y) == pytest.approx(step, rel=1e-6)
+    assert quantisation_step(rng.standard_normal(1000)) == 0.0

@@ -1,0 +1,220 @@
+"""Evidence: the linearised problem as sums of products over blocks of time, and what can be read from them.
+
+Every base parameter, candidate effect, sensor fault and free curve is a column: what a unit of it adds to all measured
+channels, whitened. All statistics of the diagnosis (gains, robust tests, similarity, smallest detectable sizes) are algebra
+on the products of columns with each other and with the residual, kept per block of time so that what the noise model missed
+shows as scatter between blocks.
+
+Lagrange-multiplier (score) test: Breusch and Pagan (1980), doi:10.2307/2297111. Scatter between blocks: Liang and Zeger
+(1986), doi:10.1093/biomet/73.1.13. Wild bootstrap of the largest statistic: Romano and Wolf (2005),
+doi:10.1111/j.1468-0262.2005.00615.x.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+RESIDUAL = "residual"
+# A column this much of which is explained by those already accepted is their copy.
+COPY = 1e-9
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Sums of products of whitened columns.
+
+    Attributes:
+        names: the columns; the last is `RESIDUAL`.
+        blocks: (B, M, M) sums over each block of time.
+        samples: (B,) how many samples are in each block.
+        power: (M,) diagonal of the sums before anything was projected out, the scale for `COPY`.
+    """
+
+    names: tuple[str, ...]
+    blocks: Array
+    samples: Array
+    power: Array
+
+    @classmethod
+    def of(cls, names: Sequence[str], blocks: Array, samples: Array) -> "Evidence":
+        """From raw sums; the residual's column is the last."""
+        total = blocks.sum(axis=0)
+        return cls((*names, RESIDUAL), blocks, samples, np.diagonal(total).copy())
+
+    def index(self, names: Sequence[str]) -> NDArray[np.intp]:
+        """Positions of columns."""
+        position = {name: k for k, name in enumerate(self.names)}
+        return np.array([position[name] for name in names], dtype=np.intp)
+
+    def with_prior(self, centre: dict[str, float], sd: dict[str, float]) -> "Evidence":
+        """Add what is known beforehand as one more block: each named column's coefficient is `centre` +- `sd`."""
+        extra = np.zeros_like(self.blocks[0])
+        for name, width in sd.items():
+            k = self.names.index(name)
+            extra[k, k] = 1 / width**2
+            extra[k, -1] = extra[-1, k] = centre.get(name, 0.0) / width**2
+            extra[-1, -1] += (centre.get(name, 0.0) / width) ** 2
+        return replace(
+            self,
+            blocks=np.concatenate([self.blocks, extra[None]]),
+            samples=np.append(self.samples, 0.0),
+        )
+
+    def solve(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """Least squares on some columns: coefficients (k,) and covariance (k, k) for unit white noise."""
+        total = self.blocks.sum(axis=0)
+        at = self.index(names)
+        inverse = _inverse(total[np.ix_(at, at)])
+        return inverse @ total[at, -1], inverse
+
+    def given(self, names: Sequence[str]) -> "Evidence":
+        """The evidence that is left once these columns have explained all they can of every other column."""
+        at = self.index(names)
+        rest = np.setdiff1d(np.arange(len(self.names)), at)
+        if not len(at):
+            return self
+        total = self.blocks.sum(axis=0)
+        weights = _inverse(total[np.ix_(at, at)]) @ total[np.ix_(at, rest)]
+        # blocks' = P^T blocks P with P = [-weights; I]
+        inner = self.blocks[:, at[:, None], at[None, :]]
+        cross = self.blocks[:, at[:, None], rest[None, :]]
+        mixed = np.einsum("ki,bkj->bij", weights, cross, optimize=True)
+        left = (
+            self.blocks[:, rest[:, None], rest[None, :]]
+            - mixed
+            - mixed.transpose(0, 2, 1)
+            + np.einsum("ki,bkl,lj->bij", weights, inner, weights, optimize=True)
+        )
+        return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest])
+
+    def total(self) -> Array:
+        """(M, M) sums over all blocks."""
+        return np.asarray(self.blocks.sum(axis=0))
+
+    def error(self) -> float:
+        """Sum of squares of the whitened residual."""
+        return float(self.blocks[:, -1, -1].sum())
+
+
+def _inverse(gram: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    keep = values > 1e-12 * values[-1]
+    inverse = (vectors[:, keep] / values[keep]) @ vectors[:, keep].T
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+@dataclass(frozen=True)
+class Score:
+    """The test of one group of columns against what is left.
+
+    Attributes:
+        coefficient: (k,) least squares size of each column.
+        covariance: (k, k) of it, scatter between blocks included.
+        gain: fall of the whitened sum of squares, about twice the gain in log likelihood.
+        inflation: scatter between blocks over what white noise would give, at least 1.
+        statistic: gain over inflation, chi-squared with k degrees of freedom if nothing is there.
+        blocks: how many blocks the information effectively comes from.
+        free: share of the column that the base parameters cannot imitate (1 / variance inflation factor).
+        information: (k, k) products of the columns.
+    """
+
+    names: tuple[str, ...]
+    coefficient: Array
+    covariance: Array
+    gain: float
+    inflation: float
+    statistic: float
+    blocks: float
+    free: float
+    information: Array
+
+    @property
+    def p(self) -> float:
+        """Probability of a statistic as large by chance, from Student's t squared (F) with the effective blocks."""
+        from scipy import stats
+
+        k = len(self.names)
+        freedom = max(self.blocks - 1, 1.0)
+        return float(stats.f.sf(self.statistic / k, k, freedom * 2))
+
+    def detectable(self, statistic: float) -> float:
+        """The size of the first column at which the statistic would be expected to reach this value."""
+        return float(np.sqrt(statistic * self.inflation / max(self.information[0, 0], 1e-300)))
+
+
+def score(left: Evidence, names: Sequence[str]) -> Score | None:
+    """Score test of some columns together, given evidence from which the accepted columns were projected out.
+
+    Returns None if the columns are copies of accepted ones, so that nothing can be said about them.
+    """
+    at = left.index(names)
+    total = left.total()
+    information = total[np.ix_(at, at)]
+    free = float(np.min(np.diagonal(information) / np.maximum(left.power[at], 1e-300)))
+    if free < COPY or not np.isfinite(information).all():
+        return None
+    inverse = _inverse(information)
+    coefficient = inverse @ total[at, -1]
+    gain = float(total[at, -1] @ coefficient)
+    # Scatter after the fitted size is taken out: taken before, it would grow with the effect and hide it.
+    here = left.blocks[:, at[:, None], at[None, :]]
+    scores = left.blocks[:, at, -1] - here @ coefficient
+    meat = scores.T @ scores
+    inflation = max(1.0, float(np.trace(inverse @ meat)) / len(at))
+    share = np.einsum("ij,bji->b", inverse, here) / len(at)
+    blocks = 1.0 / float(np.sum(share**2)) if share.any() else 1.0
+    # Few blocks carry the information: their scatter is hardly known, so a margin is kept.
+    covariance = inverse * inflation
+    return Score(
+        tuple(names), coefficient, covariance, gain, inflation, gain / inflation, blocks, free, information
+    )
+
+
+def similarity(left: Evidence, names: Sequence[str]) -> Array:
+    """(k, k) squared correlation of columns after projection: 1 means no data of this kind can tell them apart."""
+    at = left.index(names)
+    inner = left.total()[np.ix_(at, at)]
+    scale = np.maximum(np.diagonal(inner), 1e-300)
+    return np.asarray(inner**2 / np.outer(scale, scale))
+
+
+def largest_by_chance(
+    left: Evidence, groups: Sequence[Sequence[str]], rng: np.random.Generator, draws: int = 400
+) -> Array:
+    """Sorted draws of the largest statistic over single columns when nothing is there, by flipping signs of blocks.
+
+    Every group is represented by its columns one at a time; the correlation between candidates is kept.
+    """
+    at = left.index([name for group in groups for name in group])
+    total = left.total()
+    power = np.maximum(np.diagonal(total)[at], 1e-300)
+    coefficient = total[at, -1] / power
+    diagonal = left.blocks[:, at, at]
+    scores = left.blocks[:, at, -1] - diagonal * coefficient
+    flips = rng.choice([-1.0, 1.0], (draws, len(scores)))
+    spread = np.maximum((scores**2).sum(axis=0), power)
+    return np.sort(np.max((flips @ scores) ** 2 / spread, axis=1))
+
+
+def curve_gain(left: Evidence, names: Sequence[str]) -> tuple[float, float, Score | None]:
+    """Gain of a free curve beyond chance, and how many standard deviations that is.
+
+    The statistic of k columns has mean k and variance 2 k by chance; the excess is what the curve explains.
+    """
+    kept = [name for name in names if _known(left, name)]
+    tested = score(left, kept) if kept else None
+    if tested is None:
+        return 0.0, 0.0, None
+    k = len(kept)
+    excess = tested.statistic - k
+    return excess * tested.inflation, excess / np.sqrt(2 * k), tested
+
+
+def _known(left: Evidence, name: str) -> bool:
+    k = left.names.index(name)
+    return bool(left.blocks[:, k, k].sum() > 1e-6 * left.power[k] and left.power[k] > 0)
