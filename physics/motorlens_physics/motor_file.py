@@ -26,7 +26,7 @@ from typing import Any
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Parameter, Rated, parameters
-from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
+from motorlens_physics.sensor_model import SensorModel, sensor_models
 from motorlens_runtime.errors import DataError, ModelError
 
 SCHEMA = "motorlens.motor/1"
@@ -57,18 +57,24 @@ class MotorFile:
     description: str = ""
     text: str = ""  # the TOML it was read from, so that writing keeps comments and order
 
+    @property
+    def parts(self) -> tuple[Effect | SensorModel, ...]:
+        """Everything beside the textbook motor that has parameters: its effects, then its sensors."""
+        return (*self.motor.effects, *self.sensors)
+
     def values(self) -> dict[str, float]:
         """All parameter values by key, effects and sensors included."""
         own = {name: getattr(self.motor, name) for name in parameters(self.motor)}
-        for part in (*self.motor.effects, *self.sensors):
+        for part in self.parts:
             own |= {f"{part.name()}.{name}": getattr(part, name) for name in part.parameters()}
         return own
 
     def meaning(self, key: str) -> Parameter:
         """The declaration of a parameter by key."""
         owner, _, name = key.rpartition(".")
-        parts = {part.name(): part for part in (*self.motor.effects, *self.sensors)}
-        return parameters(parts[owner] if owner else self.motor)[name]
+        if not owner:
+            return parameters(self.motor)[name]
+        return next(part for part in self.parts if part.name() == owner).parameters()[name]
 
     def with_values(
         self, values: Mapping[str, float], knowledge: Mapping[str, Knowledge] | None = None
@@ -77,14 +83,13 @@ class MotorFile:
         motor, sensors = self.motor, self.sensors
         for key, value in values.items():
             owner, _, name = key.rpartition(".")
-            effect = motor.effect(owner) if owner else None
+            change: dict[str, Any] = {name: value}
             if not owner:
-                motor = replace(motor, **{name: value})
-            elif effect is not None:
-                effects = tuple(replace(e, **{name: value}) if e is effect else e for e in motor.effects)
-                motor = replace(motor, effects=effects)
+                motor = replace(motor, **change)
             else:
-                sensors = tuple(replace(s, **{name: value}) if s.name() == owner else s for s in sensors)
+                effects = tuple(replace(e, **change) if e.name() == owner else e for e in motor.effects)
+                motor = replace(motor, effects=effects)
+                sensors = tuple(replace(s, **change) if s.name() == owner else s for s in sensors)
         return replace(self, motor=motor, sensors=sensors, knowledge={**self.knowledge, **(knowledge or {})})
 
 
@@ -123,7 +128,7 @@ def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ())
     for name, entries in parts.items():
         effect = available[name]
         motor = motor.with_effect(effect(**_values(entries, effect.parameters(), where, name, known)))
-    models = sensor_catalogue()
+    models = sensor_models()
     faults = document.get("sensors", {})
     _known(faults, tuple(models), where, "sensors")
     sensors = tuple(
@@ -153,7 +158,7 @@ def to_toml(file: MotorFile) -> str:
         _update(rated, name, getattr(file.rated, name))
     values = file.values()
     sections = {"parameters": [key for key in values if "." not in key]}
-    for owner in (*file.motor.effects, *file.sensors):
+    for owner in file.parts:
         section = "effects" if isinstance(owner, Effect) else "sensors"
         sections[f"{section}.{owner.name()}"] = [f"{owner.name()}.{name}" for name in owner.parameters()]
     for section in ("effects", "sensors"):
@@ -196,10 +201,10 @@ def _values(
     where: str,
     owner: str,
     known: dict[str, Knowledge],
-) -> dict[str, float]:
+) -> dict[str, Any]:
     section = owner or "parameters"
     _known(table, tuple(declared), where, section)
-    values = {}
+    values: dict[str, Any] = {}
     for name, entry in table.items():
         what = declared[name]
         entry = entry if isinstance(entry, Mapping) else {"value": entry}
@@ -224,7 +229,7 @@ def parse_override(argument: str) -> tuple[str, float]:
     Raises:
         DataError: no `=`, or no number behind it.
     """
-    key, equals, value = argument.partition("=")
+    key, _, value = argument.partition("=")
     try:
         return key, float(value)
     except ValueError:
@@ -244,14 +249,14 @@ def with_overrides(
     Raises:
         DataError: an unknown effect, sensor model or parameter (with the nearest known one), or a value out of bounds.
     """
-    effects, models = catalogue() | dict(own or {}), sensor_catalogue()
+    effects, models = catalogue() | dict(own or {}), sensor_models()
     for key, value in overrides.items():
-        owner, _, name = key.rpartition(".")
-        if owner and owner not in {part.name() for part in (*file.motor.effects, *file.sensors)}:
+        owner = key.rpartition(".")[0]
+        if owner and owner not in {part.name() for part in file.parts}:
             if owner in effects:
-                file = replace(file, motor=file.motor.with_effect(effects[owner]()))
+                file = replace(file, motor=file.motor.with_effect(effects[owner].at_null(file.rated)))
             elif owner in models:
-                file = replace(file, sensors=(*file.sensors, models[owner]))
+                file = replace(file, sensors=(*file.sensors, models[owner].at_null(file.rated)))
             else:
                 raise DataError(
                     f"{key}: unknown effect or sensor model {owner!r}; {_near(owner, (*effects, *models))}"

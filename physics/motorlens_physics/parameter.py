@@ -96,6 +96,7 @@ def param(
 ) -> Any:
     """Declare a parameter of a motor, an effect or a sensor model; see `Parameter` for the arguments."""
     meaning = {
+        "default": default,
         "unit": unit,
         "description": description,
         "bounds": bounds,
@@ -109,7 +110,7 @@ def param(
 def parameters(owner: Any) -> dict[str, Parameter]:
     """The parameters of a dataclass or an instance of one, by name, in the order of their declaration."""
     return {
-        field.name: Parameter(name=field.name, default=field.default, **field.metadata[_KEY])
+        field.name: Parameter(name=field.name, **field.metadata[_KEY])
         for field in dataclasses.fields(owner)
         if _KEY in field.metadata
     }

@@ -1,17 +1,24 @@
 """What a sensor model is: one frozen dataclass in one file of `sensors/`, standing between a quantity and its column.
 
 A fault in a sensor competes with missing physics on equal terms, so sensor models have the shape of effects: parameters
-with unit, bounds, prior and `null`. `read` gives what the sensor shows; the sensor's rate of change is handed in because a
-lag needs it. For an input of the motor (voltage, load torque) the simulation applies `unread`, the inverse.
+with unit, bounds, prior and a switch with a `null`. `read` is pointwise and smooth, for gradients; `record` makes a whole
+column, where order and randomness matter. For an input of the motor (voltage, load torque) `unread` is the inverse.
+
+A model without a switch (noise, quantisation, clipping, a dead channel) is for simulation only: it says how good a column
+is, not what is missing from a model.
 """
 
 import importlib
 import pkgutil
-import re
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
 
-from motorlens_physics.parameter import Parameter, parameters
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.parameter import Parameter, Rated, parameters
+
+Array = NDArray[np.float64]
 
 CHANNELS = ("voltage", "current", "speed", "temperature", "load_torque")
 # The rated quantity that each channel measures, for the sizes of faults (see `Rated.scale`).
@@ -22,24 +29,45 @@ RATED_OF_CHANNEL = {
     "temperature": "rise",
     "load_torque": "torque",
 }
+# The unit of each channel; a temperature is in degC, a difference of temperatures in K.
+UNIT_OF_CHANNEL = {"voltage": "V", "current": "A", "speed": "rad/s", "temperature": "K", "load_torque": "N*m"}
 
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Base of all sensor models; an ideal sensor on `channel`, one of `CHANNELS`."""
+    """Base of all sensor models; an ideal sensor on `channel`, one of `CHANNELS`.
+
+    A parameter declared in the unit "channel" is in that of the channel, and one whose prior is a multiple of "channel"
+    is a share of the channel's rated quantity.
+    """
 
     channel: str = "current"
-    # Of what the parameters' `prior` is a multiple: "1" or "channel" (the channel's rated quantity).
+    # The last word of the name, such as "gain".
     kind: ClassVar[str] = ""
+    # Names of the scenarios of `motorlens simulate` that make the fault visible, the best first.
+    excited_by: ClassVar[tuple[str, ...]] = ()
 
     def name(self) -> str:
         """The name in the catalogue, such as `current_sensor_gain`."""
         return f"{self.channel}_sensor_{self.kind}"
 
-    @classmethod
-    def parameters(cls) -> dict[str, Parameter]:
-        """The parameters by name."""
-        return parameters(cls)
+    def parameters(self) -> dict[str, Parameter]:
+        """The parameters by name, in the unit of the channel."""
+        return {name: self._on_channel(parameter) for name, parameter in parameters(self).items()}
+
+    def switch(self) -> Parameter | None:
+        """The parameter that switches the fault on: the one with a `null`; None for a model that only simulates."""
+        return next((p for p in self.parameters().values() if p.null is not None), None)
+
+    def at_null(self, rated: Rated) -> Self:
+        """The model switched off, an ideal sensor; one that only simulates stays at its typical size."""
+        off: dict[str, Any] = {p.name: p.null for p in self.parameters().values() if p.null is not None}
+        return replace(self.typical(rated), **off)
+
+    def typical(self, rated: Rated) -> Self:
+        """The model at its typical size for a motor of this rating plate."""
+        values: dict[str, Any] = {name: p.typical(rated) for name, p in self.parameters().items()}
+        return replace(self, **values)
 
     def read(self, y: Any, rate: Any) -> Any:
         """What the sensor shows for the true value y, whose time derivative is `rate`."""
@@ -49,14 +77,21 @@ class SensorModel:
         """The true value for what the sensor shows, whose time derivative is `rate`."""
         return shown
 
+    def record(self, time_s: Array, y: Array, rng: np.random.Generator) -> Array:
+        """What the sensor shows of the true samples y[N] taken at time_s[N]; randomness comes from `rng`."""
+        return np.asarray(self.read(y, np.zeros_like(y)), dtype=np.float64)
 
-def kind_of(cls: type[SensorModel]) -> str:
-    """`gain` for SensorGain: the class without its first word, in lower case with underscores."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__.removeprefix("Sensor")).lower()
+    def _on_channel(self, parameter: Parameter) -> Parameter:
+        unit, of = UNIT_OF_CHANNEL[self.channel], RATED_OF_CHANNEL[self.channel]
+        return replace(
+            parameter,
+            unit=unit if parameter.unit == "channel" else parameter.unit,
+            of=of if parameter.of == "channel" else parameter.of,
+        )
 
 
-def sensor_catalogue() -> dict[str, SensorModel]:
-    """Every sensor model of the folder `sensors/` on every channel, at its defaults, by name."""
+def sensor_models() -> dict[str, SensorModel]:
+    """Every sensor model of the folder `sensors/` on every channel, by name, those that only simulate included."""
     from motorlens_physics import sensors
 
     found: dict[str, SensorModel] = {}
@@ -70,3 +105,8 @@ def sensor_catalogue() -> dict[str, SensorModel]:
             ):
                 found |= {model.name(): model for model in (thing(channel=channel) for channel in CHANNELS)}
     return dict(sorted(found.items()))
+
+
+def sensor_catalogue() -> dict[str, SensorModel]:
+    """The sensor faults that a diagnosis considers, by name: every model with a switch, ideal, on every channel."""
+    return {name: model for name, model in sensor_models().items() if model.switch() is not None}

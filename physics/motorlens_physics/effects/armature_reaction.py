@@ -1,0 +1,43 @@
+"""Flux that falls with the current."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.parameter import param
+
+
+@dataclass(frozen=True)
+class ArmatureReaction(Effect):
+    """The armature's field saturates the pole tips: ke / (1 + s i^2) in the place of ke, in back-EMF and torque alike.
+
+    Fitzgerald, Kingsley and Umans (2003), Electric Machinery, 6th edition, ISBN 978-0-07-366009-7, section 7.3. Both
+    faces of ke are changed, so no energy is made: i times the voltage and w times the torque cancel.
+
+    >>> from types import SimpleNamespace as At
+    >>> reaction, m, x = ArmatureReaction(s=0.01), At(ke=0.5), At(i=5.0, w=80.0)
+    >>> round(reaction.voltage(m, x, None), 6), round(reaction.torque(m, x, None), 6)  # 0.5 80 0.2, 0.5 5 0.2
+    (8.0, -0.5)
+    """
+
+    excited_by: ClassVar[tuple[str, ...]] = ("load_steps", "direct_on_line")
+
+    s: float = param(
+        0.0,
+        "1/A^2",
+        "inverse square of the current that halves the flux",
+        bounds=(0.0, 1e6),
+        prior=0.03,
+        of="1/current^2",
+        null=0.0,
+    )
+
+    def voltage(self, m: Any, x: Any, u: Any) -> Any:
+        return m.ke * x.w * self._loss(x)
+
+    def torque(self, m: Any, x: Any, u: Any) -> Any:
+        return -m.ke * x.i * self._loss(x)
+
+    def _loss(self, x: Any) -> Any:
+        reaction = self.s * x.i**2
+        return reaction / (1 + reaction)
