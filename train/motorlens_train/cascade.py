@@ -1,9 +1,10 @@
 """Cascade-forward networks: structure, forward pass and layer-wise derivatives, without autograd.
 
-All columns a layer can read stand in one buffer, feature-major: `z = [1 | x | h_1 | ... | h_L]`, one column of
-the buffer an instant. Layer l computes `h_l = f(W_l z_read)`; the output layer is linear, `y = V z_read`.
+All columns a layer can read stand in one buffer, feature-major: `z = [1 | x | h_1 | ... | h_L]`, one column
+of the buffer an instant. Layer l computes `h_l = f(W_l z_read)`; the output layer is linear, `y = V z_read`.
 
-- In a *cascade* every layer reads all that stands before it (inputs and all previous layers: MATLAB's cascadeforwardnet).
+- In a *cascade* every layer reads all that stands before it (inputs and all previous layers: MATLAB's
+  cascadeforwardnet).
 - In a plain *feed-forward* network a layer reads the constant and the layer before it.
 
 The only difference is which entries of the weight matrices are free, so everything else is written once.
@@ -125,7 +126,8 @@ class Network:
 
     Attributes:
         architecture: the structure.
-        hidden: weights of the hidden layers, flat `[P_h]`; layer after layer, unit after unit, in the order of `reads`.
+        hidden: weights of the hidden layers, flat `[P_h]`; layer after layer, unit after unit, in the order
+        of `reads`.
         output: weights of the output layer `[K, Z]`, Z = number of columns it reads.
     """
 
@@ -201,7 +203,7 @@ def _later(architecture: Architecture, weights: Sequence[Tensor], layer: int) ->
 
 
 def jacobian(network: Network, x: Tensor) -> Tensor:
-    """Derivative of each output by each weight, `[N, K, P]`, for inputs `[N, F]`; for checks and posteriors, not for training."""
+    """Derivative of each output by each weight, `[N, K, P]`, for inputs `[N, F]`; for checks, not for training."""
     architecture = network.architecture
     weights = dense(architecture, network.hidden.to(x.dtype))
     z = forward(architecture, weights, x.T)
@@ -220,8 +222,8 @@ def jacobian(network: Network, x: Tensor) -> Tensor:
 def initial(architecture: Architecture, generator: np.random.Generator) -> Tensor:
     """Starting weights of the hidden layers, for inputs of unit variance, `[P_h]` float64.
 
-    Weights are normal with a standard deviation that gives each net input a variance near one, biases spread the
-    units' active regions over the data (in the spirit of Nguyen and Widrow, 1990).
+    Weights are normal with a standard deviation that gives each net input a variance near one, biases spread
+    the units' active regions over the data (in the spirit of Nguyen and Widrow, 1990).
     """
     fan_in = np.concatenate(
         [np.full(width * len(architecture.reads(layer)), len(architecture.reads(layer)) - 1)

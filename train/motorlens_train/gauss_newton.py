@@ -2,14 +2,14 @@
 
 Three facts keep them cheap:
 
-- The output layer is linear, so its block of the Gauss-Newton matrix is the Gram matrix of what it reads, shared by
-  all outputs, and its best weights for given hidden weights are a ridge solution: it is eliminated (variable
-  projection; Golub and Pereyra 1973, in Kaufman's form).
+- The output layer is linear, so its block of the Gauss-Newton matrix is the Gram matrix of what it reads,
+  shared by all outputs, and its best weights for given hidden weights are a ridge solution: it is eliminated
+  (variable projection; Golub and Pereyra 1973, in Kaufman's form).
 - The Jacobian by the weight of unit u on column a is `delta_u z_a`. Hence the Gauss-Newton matrix is made of
-  `sum_n (sum_k beta_k delta_ku delta_ku') (z_a z_a')`: one product of two thin matrices, pairs of units by pairs of
-  columns, instead of one product of Jacobians per output. Pairs are stored once, in the nested order
-  (0,0) (0,1) (1,1) (0,2) ..., in which the pairs of the first m columns come first, so a layer that reads fewer columns
-  uses a leading part of the same table.
+  `sum_n (sum_k beta_k delta_ku delta_ku') (z_a z_a')`: one product of two thin matrices, pairs of units by
+  pairs of columns, instead of one product of Jacobians per output. Pairs are stored once, in the nested order
+  (0,0) (0,1) (1,1) (0,2) ..., in which the pairs of the first m columns come first, so a layer that reads
+  fewer columns uses a leading part of the same table.
 - Products run in the type of the data (float32 in training), their sums are kept in float64.
 
 Throughout, blocks are feature-major: inputs `[F, n]`, targets `[K, n]`.
@@ -54,7 +54,8 @@ class OutputMoments:
 
     def squared_error(self, output: Tensor) -> Tensor:
         """Sum of squared errors of each output for output weights `[K, Z]`."""
-        # Summed as w.(Gw - 2c): the relative rounding of float64 is far below any noise floor of measured data.
+        # Summed as w.(Gw - 2c): the relative rounding of float64 is far below any noise floor of measured
+        # data.
         return (self.square + (output * (output @ self.gram - 2 * self.cross.T)).sum(1)).clamp_min(0)
 
 
@@ -183,6 +184,7 @@ def cholesky(matrix: Tensor) -> Tensor:
     scale = matrix.diagonal(dim1=-2, dim2=-1).abs().amax(-1)
     for jitter in (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6):
         shift = torch.diag_embed((jitter * scale)[..., None].expand(matrix.shape[:-1]))
+        factor: Tensor
         factor, info = torch.linalg.cholesky_ex(matrix + shift)
         if not bool(info.any()):
             return factor

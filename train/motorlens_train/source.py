@@ -4,6 +4,7 @@ The trainer never holds more than one block (and a bounded sample), so the data 
 Blocks are re-cut to the size asked for, so sums do not depend on how the data arrive.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -90,7 +91,7 @@ class Arrays:
         starts = np.concatenate([[0], np.cumsum(sequences)])
         pieces = [
             (first, min(first + length, int(stop)))
-            for start, stop in zip(starts[:-1], starts[1:], strict=True)
+            for start, stop in itertools.pairwise(starts)
             for first in range(int(start), int(stop), length)
             if min(first + length, stop) - first >= min(length, stop - start) // 2
         ]
@@ -107,7 +108,8 @@ class Stream:
     """Data from a generator that can be started again and again, for instance a simulation or a file reader.
 
     Attributes:
-        start: begins a pass; yields inputs `[n, F]` and targets `[n, K]` in pieces of any size, always the same data.
+        start: begins a pass; yields inputs `[n, F]` and targets `[n, K]` in pieces of any size, always the
+        same data.
         rows: total number of rows.
         inputs: number of inputs F.
         outputs: number of targets K.

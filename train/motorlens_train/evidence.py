@@ -1,0 +1,218 @@
+"""The evidence framework: how strongly to regularise and how noisy the targets are, read from the training
+data alone.
+
+Objective in weights w, for targets of unit variance:
+
+    E(w) = 1/2 sum_k (beta_k / tau_k) SSE_k(w) + 1/2 sum_g alpha_g |w_g|^2
+
+- `alpha_g`: prior precision of the weights of layer g (a single alpha, as in MATLAB's trainbr, would punish
+  output biases and input weights alike).
+- `beta_k`: inverse noise variance of output k.
+- `tau_k`: autocorrelation time of output k's errors in samples, 1 if they are independent: recordings are
+  time series, and n correlated samples carry only n / tau of information.
+
+Laplace's approximation around the minimum has the precision matrix `H = sum_k beta_k / tau_k J_k^T J_k + A`.
+Sources: MacKay (1992), "A practical Bayesian framework for backpropagation networks", eqs. 2.8-2.22;
+Foresee and Hagan (1997), "Gauss-Newton approximation to Bayesian learning".
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motorlens_train.cascade import Architecture, Network, jacobian
+from motorlens_train.gauss_newton import Curvature, OutputMoments, cholesky
+
+# Guards: how far one update may move alpha or beta, and how far they may go at all (targets have unit
+# variance).
+STEP = 10.0
+ALPHA_RANGE = (1e-6, 1e8)
+BETA_RANGE = (1e-6, 1e14)
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """The quantities that the evidence sets.
+
+    Attributes:
+        alpha: prior precision of each layer's weights, hidden layers first, then the output layer, `[L + 1]`.
+        beta: inverse noise variance of each output, `[K]`.
+        tau: autocorrelation time of each output's errors, in samples, `[K]`, at least 1.
+    """
+
+    alpha: Tensor
+    beta: Tensor
+    tau: Tensor
+
+    @staticmethod
+    def start(architecture: Architecture) -> "Hyperparameters":
+        """Where training begins: weak prior, noise of a tenth of the targets' variance, independent errors."""
+        ones = torch.ones(architecture.outputs, dtype=torch.float64)
+        return Hyperparameters(
+            torch.full((architecture.layers + 1,), 0.01, dtype=torch.float64), 10 * ones, ones
+        )
+
+    @property
+    def precision(self) -> Tensor:
+        """Weight of each output's squared errors, `[K]`."""
+        return self.beta / self.tau
+
+    def alpha_hidden(self, architecture: Architecture) -> Tensor:
+        """Prior precision of each hidden weight, `[P_h]`."""
+        return self.alpha[architecture.layer_of]
+
+    def alpha_output(self, architecture: Architecture) -> Tensor:
+        """Prior precision of each output weight, `[K, Z]`."""
+        return self.alpha[-1].expand(architecture.outputs, len(architecture.output_reads))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Laplace's approximation at one point.
+
+    Attributes:
+        factor: lower Cholesky factor of the posterior precision H, `[P, P]`.
+        gamma: well-determined parameters of each layer, `[L + 1]`.
+        log_evidence: natural logarithm of p(targets | architecture, alpha, beta), for scaled targets.
+        squared_error: SSE of each output, `[K]`.
+        rows: number of samples.
+    """
+
+    factor: Tensor
+    gamma: Tensor
+    log_evidence: float
+    squared_error: Tensor
+    rows: int
+
+
+def posterior_precision(
+    architecture: Architecture, curvature: Curvature, moments: OutputMoments, hyper: Hyperparameters
+) -> Tensor:
+    """H over all weights, `[P, P]`; `curvature` must have been computed with `hyper.precision`."""
+    hidden, size = architecture.hidden_parameters, len(architecture.output_reads)
+    matrix = torch.zeros(architecture.parameters, architecture.parameters, dtype=torch.float64)
+    matrix[:hidden, :hidden] = curvature.hidden
+    for k, precision in enumerate(hyper.precision):
+        mine = slice(hidden + k * size, hidden + (k + 1) * size)
+        matrix[:hidden, mine] = curvature.cross[k]
+        matrix[mine, :hidden] = curvature.cross[k].T
+        matrix[mine, mine] = precision * moments.gram
+    prior = torch.cat([hyper.alpha_hidden(architecture), hyper.alpha_output(architecture).reshape(-1)])
+    return matrix + torch.diag(prior)
+
+
+def evidence(network: Network, precision: Tensor, moments: OutputMoments, hyper: Hyperparameters) -> Evidence:
+    """Effective numbers of parameters and log evidence at a minimum.
+
+    Args:
+        network: weights at the minimum.
+        precision: H from `posterior_precision`.
+        moments: at the same weights.
+        hyper: with which H was computed.
+    """
+    architecture = network.architecture
+    factor = cholesky(precision)
+    identity = torch.eye(len(precision), dtype=torch.float64)
+    variance = torch.linalg.solve_triangular(factor, identity, upper=False).square().sum(0)
+    sizes, squares = _groups(network)
+    variances = _sum_groups(architecture, variance)
+    gamma = torch.minimum((sizes - hyper.alpha * variances).clamp_min(0), sizes)
+    error = moments.squared_error(network.output)
+    likelihood = moments.rows / hyper.tau * torch.log(hyper.beta / (2 * torch.pi)) - hyper.precision * error
+    prior = sizes * torch.log(hyper.alpha) - hyper.alpha * squares
+    log_evidence = 0.5 * (likelihood.sum() + prior.sum()) - factor.diagonal().log().sum()
+    return Evidence(factor, gamma, float(log_evidence), error, moments.rows)
+
+
+def update(network: Network, now: Evidence, hyper: Hyperparameters) -> Hyperparameters:
+    """MacKay's re-estimation, guarded.
+
+    `alpha_g = gamma_g / |w_g|^2` and `beta_k = (N - tau_k gamma_k) / SSE_k`. The hidden layers are shared by
+    the outputs, so each output is charged an equal part `gamma_k = gamma / K`; with a single output this is
+    exact. No update moves a value by more than a factor of ten; a layer whose gamma vanishes keeps a finite
+    alpha; SSE = 0 does not let beta run away; at least a twentieth of the samples is counted as free.
+    """
+    _, squares = _groups(network)
+    alpha = now.gamma.clamp_min(1e-3) / squares.clamp_min(1e-12)
+    share = now.gamma.sum() / len(hyper.beta)
+    free = torch.maximum(now.rows - hyper.tau * share, torch.tensor(0.05 * now.rows))
+    beta = free / now.squared_error.clamp_min(now.rows / BETA_RANGE[1])
+    return replace(
+        hyper, alpha=_guard(alpha, hyper.alpha, ALPHA_RANGE), beta=_guard(beta, hyper.beta, BETA_RANGE)
+    )
+
+
+def score_autocorrelation(
+    network: Network,
+    factor: Tensor,
+    runs: Iterable[tuple[Tensor, Tensor]],
+    generator: np.random.Generator,
+    directions: int = 48,
+) -> Tensor:
+    """Autocorrelation time of each output's score, `[K]`, at least 1.
+
+    The score of sample n is its contribution `J_n^T e_n` to the gradient; its autocorrelation, not that of
+    the errors e_n, is what makes the posterior too sure (Godambe's information). Scores are measured in the
+    posterior's metric H^-1, through random directions, and their autocorrelation is summed up to five times
+    the time found so far (Sokal's window).
+
+    Args:
+        network: weights at the minimum.
+        factor: Cholesky factor of H.
+        runs: unbroken stretches of scaled inputs `[n, F]` and targets `[n, K]` in order of time.
+        generator: for the random directions.
+        directions: number of random directions that stand for the trace.
+    """
+    draws = torch.from_numpy(generator.standard_normal((len(factor), directions)))
+    probes = torch.linalg.solve_triangular(factor.T, draws, upper=True)
+    outputs = network.architecture.outputs
+    total = np.zeros((outputs, 0))
+    for x, y in runs:
+        scores = torch.einsum("nkp,pd->nkd", jacobian(network, x.double()), probes)
+        scores = scores * (network(x.double()) - y.double())[..., None]
+        products = _lagged_products(scores.numpy())
+        longest = max(total.shape[1], products.shape[1])
+        total = _padded(total, longest) + _padded(products, longest)
+    return torch.tensor([_sokal(row / row[0]) if row[0] > 0 else 1.0 for row in total], dtype=torch.float64)
+
+
+def _lagged_products(scores: np.ndarray) -> np.ndarray:
+    """`sum_n sum_d s[n, k, d] s[n + h, k, d]` for every lag h, `[K, n]`."""
+    count = len(scores)
+    spectrum = np.fft.rfft(scores, 2 * count, axis=0)
+    power = (spectrum.real**2 + spectrum.imag**2).sum(2)
+    return np.asarray(np.fft.irfft(power, axis=0)[:count].T)
+
+
+def _sokal(correlation: np.ndarray, window: float = 5.0) -> float:
+    times = 2 * np.cumsum(correlation) - 1
+    lags = np.arange(len(correlation))
+    inside = lags >= window * np.maximum(times, 1)
+    cut = int(np.argmax(inside)) if inside.any() else len(correlation) - 1
+    return float(max(times[cut], 1.0))
+
+
+def _padded(rows: np.ndarray, length: int) -> np.ndarray:
+    return np.pad(rows, ((0, 0), (0, length - rows.shape[1])))
+
+
+def _groups(network: Network) -> tuple[Tensor, Tensor]:
+    """Number of weights and sum of their squares in each layer."""
+    weights = network.parameters()
+    return _sum_groups(network.architecture, torch.ones_like(weights)), _sum_groups(
+        network.architecture, weights**2
+    )
+
+
+def _sum_groups(architecture: Architecture, values: Tensor) -> Tensor:
+    layers = torch.cat(
+        [architecture.layer_of, torch.full((architecture.output_parameters,), architecture.layers)]
+    )
+    return torch.zeros(architecture.layers + 1, dtype=values.dtype).index_add_(0, layers, values)
+
+
+def _guard(new: Tensor, old: Tensor, limits: tuple[float, float]) -> Tensor:
+    return torch.minimum(torch.maximum(new, old / STEP), old * STEP).clamp(*limits)

@@ -1,0 +1,361 @@
+"""Training by Bayesian regularisation: Levenberg-Marquardt in stages that grow, with the evidence framework
+between steps.
+
+1. Start on a small random sample; when progress slows, quadruple it. The last stage uses all data: held in
+   memory if they are few, otherwise read again for each pass, with the curvature taken from a random part
+   that changes every iteration.
+2. Between steps alpha and beta are re-estimated (`motorlens_train.evidence`).
+3. If the data are a time series, the errors' autocorrelation time is estimated at the minimum and the
+   likelihood tempered by it.
+
+Stops: when the objective falls by less than `tolerance` (relative) in two iterations with settled
+regularisation; when no damping leads downhill; when a validation set has not improved for `patience`
+iterations (the best weights are kept); when `iterations` are used up; on Ctrl-C (the best so far is kept).
+The result is a function of data, settings and seed alone.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motorlens_train.cascade import Architecture, Network, initial
+from motorlens_train.checkpoint import load_checkpoint, save_checkpoint
+from motorlens_train.evidence import (
+    Evidence,
+    Hyperparameters,
+    evidence,
+    posterior_precision,
+    score_autocorrelation,
+    update,
+)
+from motorlens_train.gauss_newton import Columns, OutputMoments, curvature
+from motorlens_train.levenberg_marquardt import Batch, Point, locate, settle, step
+from motorlens_train.scaling import Scaling
+from motorlens_train.source import Block, Source
+
+# Rows per product: large enough for the processor's matrix units, small enough for its cache.
+CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to train.
+
+    Attributes:
+        iterations: at most so many Levenberg-Marquardt iterations, all stages together.
+        tolerance: relative fall of the objective below which the last stage is finished.
+        first_rows: size of the first random sample.
+        block_rows: largest stage held in memory, and the size of the rotating part that gives curvature
+        beyond it.
+        patience: iterations without improvement of the validation error before training stops.
+        time_series: whether consecutive rows are a time series with correlated errors.
+        single: whether products run in float32 (sums are float64 always).
+    """
+
+    iterations: int = 300
+    tolerance: float = 1e-4
+    first_rows: int = 2048
+    block_rows: int = 32768
+    patience: int = 15
+    time_series: bool = False
+    single: bool = True
+
+
+@dataclass(frozen=True)
+class Record:
+    """One iteration of the training report; lists have one entry an output or a layer.
+
+    Errors are root mean squares as a share of the targets' standard deviation.
+    """
+
+    iteration: int
+    stage: int
+    rows: int
+    accepted: bool
+    objective: float
+    error: list[float]
+    validation: list[float] | None
+    gamma: float
+    log_evidence: float
+    alpha: list[float]
+    beta: list[float]
+    tau: list[float]
+    damping: float
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained network and what its training found.
+
+    Attributes:
+        network: weights for scaled inputs and targets.
+        inputs: scaling of the inputs.
+        targets: scaling of the targets.
+        hyper: alpha, beta and tau.
+        evidence: Laplace's approximation at the final weights.
+        moments: of what the output layer reads, at the final weights, for the last-layer posterior.
+        history: one record an iteration.
+        stopped: why training ended, in words.
+    """
+
+    network: Network
+    inputs: Scaling
+    targets: Scaling
+    hyper: Hyperparameters
+    evidence: Evidence
+    moments: OutputMoments
+    history: tuple[Record, ...]
+    stopped: str
+
+    def predict(self, x: Tensor) -> Tensor:
+        """Outputs in the targets' units `[N, K]` for inputs in theirs `[N, F]`."""
+        return self.targets.restore(self.network(self.inputs.scale(x)))
+
+    def report(self) -> dict[str, object]:
+        """The training report as plain data."""
+        return {
+            "architecture": str(self.network.architecture),
+            "parameters": self.network.architecture.parameters,
+            "effective_parameters": float(self.evidence.gamma.sum()),
+            "log_evidence": self.evidence.log_evidence,
+            "stopped": self.stopped,
+            "history": [asdict(record) for record in self.history],
+        }
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that training needs to go on; what a checkpoint holds."""
+
+    hidden: Tensor
+    hyper: Hyperparameters
+    damping: float
+    stage: int
+    iteration: int
+    quiet: int  # consecutive iterations with little progress
+    best: Tensor  # hidden weights with the lowest validation error
+    best_error: float
+    since_best: int
+    history: tuple[Record, ...]
+
+
+def train(
+    source: Source,
+    architecture: Architecture,
+    seed: int,
+    settings: Settings = Settings(),
+    validation: Source | None = None,
+    checkpoint: Path | None = None,
+    report: Callable[[Record], None] = lambda record: None,
+) -> Trained:
+    """Train a network.
+
+    Args:
+        source: inputs `[N, F]` and targets `[N, K]`.
+        architecture: the structure; its inputs and outputs must be those of the source.
+        seed: decides the starting weights and every sample drawn.
+        settings: limits and sizes.
+        validation: unseen data that stop training early.
+        checkpoint: file that is written after every iteration, and gone on from if it is there.
+        report: called after every iteration.
+    """
+    scale_rows = source.sample(65536, np.random.default_rng([seed, 0]))
+    inputs, targets = Scaling.of(scale_rows[0]), Scaling.of(scale_rows[1])
+    run = _Run(source, architecture, seed, settings, validation, inputs, targets)
+    state = run.start()
+    if checkpoint is not None and checkpoint.exists():
+        state = load_checkpoint(checkpoint, State, Record)
+    point: Point | None = None
+    stopped = "no progress left"
+    try:
+        while True:
+            state, point, finished = run.iterate(state, point)
+            report(state.history[-1])
+            if checkpoint is not None:
+                save_checkpoint(checkpoint, state)
+            if finished:
+                stopped = finished
+                break
+    except KeyboardInterrupt:
+        stopped = "interrupted: the best so far is kept"
+    return run.finish(state, stopped)
+
+
+@dataclass(frozen=True)
+class _Run:
+    source: Source
+    architecture: Architecture
+    seed: int
+    settings: Settings
+    validation: Source | None
+    inputs: Scaling
+    targets: Scaling
+
+    def start(self) -> State:
+        hidden = initial(self.architecture, np.random.default_rng([self.seed, 1]))
+        hyper = Hyperparameters.start(self.architecture)
+        return State(hidden, hyper, 1.0, 0, 0, 0, hidden, float("inf"), 0, ())
+
+    def iterate(self, state: State, point: Point | None) -> tuple[State, Point | None, str]:
+        """One iteration; returns the reason to stop, or an empty string."""
+        batch = self._batch(state.stage)
+        if point is None:
+            point = locate(self.architecture, state.hidden, state.hyper, batch)
+        taken = step(point, state.hyper, state.damping, batch, self._curving(batch, state))
+        progress = (point.objective - taken.point.objective) / abs(point.objective)
+        quiet = state.quiet + 1 if progress < self._patience_threshold(batch) else 0
+        hyper, found = state.hyper, None
+        stuck = not taken.accepted
+        # An inverse of H costs as much as a small stage's iteration: not after every step.
+        if state.iteration % 3 == 2 or quiet or stuck:
+            found = self._evidence(taken.point, hyper, self._part(batch, self._kind))
+            hyper = update(taken.point.network, found, hyper)
+            if self.settings.time_series and self._last(batch) and quiet:
+                hyper = replace(hyper, tau=self._tau(taken.point.network, found, hyper))
+            if _moved(hyper, state.hyper) > 0.03 * (1 + state.quiet):
+                quiet = min(quiet, 1)
+        after = settle(self.architecture, taken.point.network.hidden, hyper, taken.point.moments)
+        state = self._recorded(state, after, taken.damping, taken.accepted, hyper, found, batch)
+        state = replace(state, quiet=quiet)
+        if self.validation is not None and state.since_best >= self.settings.patience:
+            return state, after, f"the validation error has not improved for {state.since_best} iterations"
+        if state.iteration >= self.settings.iterations:
+            return state, after, f"the limit of {state.iteration} iterations is reached"
+        if quiet < 2:
+            return state, after, ""
+        if not self._last(batch):
+            return replace(state, stage=state.stage + 1, quiet=0, damping=min(state.damping, 1.0)), None, ""
+        return state, after, "no damping leads downhill" if stuck else "converged"
+
+    def finish(self, state: State, stopped: str) -> Trained:
+        hidden = state.best if self.validation is not None else state.hidden
+        batch = Batch(lambda: self._columns(self.source.blocks(CHUNK), torch.float64), self.source.rows)
+        point = locate(self.architecture, hidden, state.hyper, batch)
+        found = self._evidence(point, state.hyper, self._part(batch, torch.float64))
+        return Trained(
+            point.network,
+            self.inputs,
+            self.targets,
+            state.hyper,
+            found,
+            point.moments,
+            state.history,
+            stopped,
+        )
+
+    def _patience_threshold(self, batch: Batch) -> float:
+        return self.settings.tolerance if self._last(batch) else 3e-3
+
+    def _last(self, batch: Batch) -> bool:
+        return batch.rows == self.source.rows
+
+    def _batch(self, stage: int) -> Batch:
+        rows = self.settings.first_rows * 4**stage
+        if rows <= self.settings.block_rows and 2 * rows < self.source.rows:
+            return self._held(rows, self._kind, stage)
+        if self.source.rows <= 2 * self.settings.block_rows:
+            return self._held(self.source.rows, self._kind)
+        return Batch(lambda: self._columns(self.source.blocks(CHUNK), self._kind), self.source.rows)
+
+    def _held(self, rows: int, kind: torch.dtype, *key: int) -> Batch:
+        x, y = self.source.sample(rows, np.random.default_rng([self.seed, 2, *key]))
+        pieces = ((x[first : first + CHUNK], y[first : first + CHUNK]) for first in range(0, len(x), CHUNK))
+        blocks = list(self._columns(pieces, kind))
+        return Batch(lambda: blocks, len(x))
+
+    def _curving(self, batch: Batch, state: State) -> Batch:
+        if batch.rows <= 2 * self.settings.block_rows:
+            return batch
+        return self._held(self.settings.block_rows, self._kind, state.stage, state.iteration)
+
+    def _part(self, batch: Batch, kind: torch.dtype) -> Batch:
+        """All of a batch, or so many of its rows that their curvature stands for the rest."""
+        if batch.rows <= 2 * self.settings.block_rows:
+            return batch
+        return self._held(self.settings.block_rows, kind, 1000)
+
+    @property
+    def _kind(self) -> torch.dtype:
+        return torch.float32 if self.settings.single else torch.float64
+
+    def _columns(self, blocks: Iterable[Block], kind: torch.dtype) -> Iterable[Columns]:
+        for x, y in blocks:
+            yield self.inputs.scale(x).to(kind).T.contiguous(), self.targets.scale(y).to(kind).T.contiguous()
+
+    def _evidence(self, point: Point, hyper: Hyperparameters, part: Batch) -> Evidence:
+        """Evidence of all rows that the point was evaluated on, with the curvature of a part of them."""
+        precision = point.moments.rows / part.rows * hyper.precision
+        sums = curvature(
+            self.architecture, point.network.hidden, point.network.output, precision, part.blocks()
+        )
+        matrix = posterior_precision(self.architecture, sums, point.moments, hyper)
+        return evidence(point.network, matrix, point.moments, hyper)
+
+    def _tau(self, network: Network, found: Evidence, hyper: Hyperparameters) -> Tensor:
+        runs = (
+            (self.inputs.scale(x.double()), self.targets.scale(y.double()))
+            for x, y in self.source.runs(32768, 8192)
+        )
+        return score_autocorrelation(network, found.factor, runs, np.random.default_rng([self.seed, 3]))
+
+    def _recorded(
+        self,
+        state: State,
+        point: Point,
+        damping: float,
+        accepted: bool,
+        hyper: Hyperparameters,
+        found: Evidence | None,
+        batch: Batch,
+    ) -> State:
+        error = (point.moments.squared_error(point.network.output) / batch.rows).sqrt()
+        unseen = self._validation_error(point.network)
+        last = state.history[-1] if state.history else None
+        record = Record(
+            state.iteration,
+            state.stage,
+            batch.rows,
+            accepted,
+            point.objective,
+            error.tolist(),
+            None if unseen is None else unseen.tolist(),
+            float(found.gamma.sum()) if found else (last.gamma if last else float("nan")),
+            found.log_evidence if found else (last.log_evidence if last else float("nan")),
+            hyper.alpha.tolist(),
+            hyper.beta.tolist(),
+            hyper.tau.tolist(),
+            damping,
+        )
+        hidden = point.network.hidden
+        total = 0.0 if unseen is None else float(unseen.square().mean())
+        better = total < state.best_error
+        return replace(
+            state,
+            hidden=hidden,
+            hyper=hyper,
+            damping=damping,
+            iteration=state.iteration + 1,
+            best=hidden if better else state.best,
+            best_error=min(total, state.best_error),
+            since_best=0 if better else state.since_best + 1,
+            history=(*state.history, record),
+        )
+
+    def _validation_error(self, network: Network) -> Tensor | None:
+        if self.validation is None:
+            return None
+        total = torch.zeros(self.architecture.outputs, dtype=torch.float64)
+        for x, y in self.validation.blocks(CHUNK):
+            errors = network(self.inputs.scale(x.double())) - self.targets.scale(y.double())
+            total += errors.square().sum(0)
+        return (total / self.validation.rows).sqrt()
+
+
+def _moved(new: Hyperparameters, old: Hyperparameters) -> float:
+    """Largest relative change of a quantity that the evidence sets."""
+    pairs = ((new.alpha, old.alpha), (new.beta, old.beta), (new.tau, old.tau))
+    return max(float((torch.log(a) - torch.log(b)).abs().max()) for a, b in pairs)
