@@ -1,0 +1,226 @@
+"""The time loop: adaptive steps inside each sample, a rotor that rests, turns, stops and breaks away.
+
+This is ordinary Python that is compiled together with the generated step of a motor (see `compile.py`, which copies
+the functions below the line into the generated module); above the line stand the signatures of what is generated.
+
+At rest the load and the friction are sets: the load is a brake, its torque anything between 0 and T_load, and stiction
+anything between its two limits. The rotor rests while some choice of them balances the motor's torque, so a load never
+drives a resting rotor backwards and a resting rotor does not drift. A step in which the speed passes through zero is cut
+there, and a resting rotor breaks away at the instant at which the balance becomes impossible.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+Vector = Any
+# Length of an accepted step may shrink and grow by no more than this.
+SHRINK, GROW, SAFETY = 0.2, 6.0, 0.9
+# Instants at which the rotor stops or breaks away are located to this share of a step.
+LOCATED = 1e-9
+# Where L stands among the parameters.
+INDUCTANCE = 1
+
+
+def step(
+    x: Vector,
+    p: Vector,
+    t: float,
+    u: Vector,
+    h: float,
+    side: float,
+    go: float,
+    y: Vector,
+    e: Vector,
+    z: Vector,
+) -> None:
+    """One step of length h from x: y the new state, e the estimate of its error, z the state in the middle.
+
+    u holds voltage, load torque and ambient at t and, behind them, their slopes.
+    """
+    raise NotImplementedError
+
+
+def rest(x: Vector, p: Vector, t: float, u: Vector, ahead: float) -> tuple[float, float, float]:
+    """Torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead."""
+    raise NotImplementedError
+
+
+def propagate(
+    x: Vector, p: Vector, t: float, u: Vector, h: float, side: float, go: float,
+    y: Vector, z: Vector, S: Vector, work: Vector,
+) -> None:  # fmt: skip
+    """Carry the sensitivities S over the step from x through z to y."""
+    raise NotImplementedError
+
+
+def turn(y: Vector, p: Vector, t: float, u: Vector, h: float, side: float, then: float, S: Vector) -> None:
+    """Carry the sensitivities over the instant at which a rotor that turned to `side` stops or turns to `then`."""
+    raise NotImplementedError
+
+
+def keep(k: int, S: Vector, work: Vector, kept: Vector, matrices: Vector) -> None:
+    """Keep the sensitivities at sample k."""
+    raise NotImplementedError
+
+
+# ---- compiled from here on ----
+def breaks_away(x: Vector, p: Vector, t: float, u: Vector, ahead: float) -> tuple[float, float]:
+    """By how much the torque on a resting rotor exceeds what can hold it (N m), and which way it would turn."""
+    with_load, load, stiction = rest(x, p, t, u, ahead)
+    forwards = min(with_load, with_load + load) - stiction
+    backwards = -max(with_load, with_load + load) - stiction
+    if forwards >= backwards:
+        return forwards, 1.0
+    return backwards, -1.0
+
+
+def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> float:
+    """Largest error in units of the tolerance; infinite if anything is not finite."""
+    worst = 0.0
+    for j in range(x.size):
+        share = abs(e[j]) / (atol[j] + rtol * max(abs(x[j]), abs(y[j])))
+        if not share < math.inf:
+            return math.inf
+        worst = max(worst, share)
+    return worst
+
+
+def integrate(
+    time: Vector, inputs: Vector, held: bool, smooth: bool, p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float,
+    out: Vector, S: Vector, work: Vector, kept: Vector, matrices: Vector,
+) -> int:  # fmt: skip
+    """Fill out[1:] from the state x at time[0]; return -1, or the sample after which no step was small enough.
+
+    `inputs` is (N, 3); `carry` keeps between calls the length of the next step, and counts accepted and rejected steps.
+    """
+    y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(6)
+    trial = carry[0]
+    for k in range(time.size - 1):
+        span = time[k + 1] - time[k]
+        for j in range(3):
+            u[3 + j] = 0.0 if held else (inputs[k + 1, j] - inputs[k, j]) / span
+        for j in range(3):
+            u[j] = inputs[k, j]
+        if p[INDUCTANCE] == 0.0:
+            # Without inductance the current jumps with the voltage: a step of no length finds it.
+            for _ in range(3):
+                step(x, p, time[k], u, 1e-9 * span, 1.0, 0.0, y, e, z)
+                x[0] = y[0]
+        past, released = 0.0, 0.0
+        while past < span:
+            t = time[k] + past
+            for j in range(3):
+                u[j] = inputs[k, j] + u[3 + j] * past
+            side, go, excess = 0.0, 1.0, 0.0
+            if not smooth:
+                side = 1.0 if x[1] > 0.0 else -1.0
+                if x[1] == 0.0:
+                    excess, way = breaks_away(x, p, t, u, 0.0)
+                    side = way if excess > 0.0 else released
+                    go = abs(side)
+            left = span - past
+            h = min(trial, left)
+            # Two equal steps rather than a long one and a crumb.
+            if h < left < 2.0 * h:
+                h = 0.5 * left
+            step(x, p, t, u, h, side, go, y, e, z)
+            error = error_of(x, y, e, atol, rtol)
+            if not error <= 1.0:
+                carry[2] += 1.0
+                trial = h * (max(SHRINK, SAFETY * error**-0.25) if error < math.inf else 0.1)
+                if trial < 1e-14 * span or t + trial == t:
+                    return k
+                continue
+            then = side
+            if side != 0.0 and y[1] * side < 0.0:
+                if x[1] == 0.0:
+                    # It would turn against the torque that broke it away: rounding; it rests for this step.
+                    go = 0.0
+                    step(x, p, t, u, h, side, go, y, e, z)
+                else:
+                    h = stop(x, p, t, u, h, side, y, e, z)
+                    excess, way = breaks_away(y, p, t, u, h)
+                    then = way if excess > 0.0 else 0.0
+            elif go == 0.0:
+                ends, way = breaks_away(y, p, t, u, h)
+                if ends > 0.0 and excess == 0.0 and released == 0.0:
+                    # Nothing holds it: it goes at once.
+                    released = way
+                    continue
+                if ends > 0.0:
+                    h = hold(x, p, t, u, h, excess, ends, y, e, z)
+            propagate(x, p, t, u, h, side, go, y, z, S, work)
+            if then != side:
+                turn(y, p, t, u, h, side, then, S)
+            x[:] = y
+            released = 0.0
+            carry[1] += 1.0
+            # The last step of a sample ends exactly there.
+            past = span if h == left else past + h
+            grown = h * min(GROW, SAFETY * max(error, 1e-8) ** -0.25)
+            # A step cut short by the end of a sample says nothing against the longer one that was planned.
+            trial = max(grown, trial) if h < trial else grown
+        out[k + 1] = x
+        keep(k + 1, S, work, kept, matrices)
+    carry[0] = trial
+    return -1
+
+
+def stop(
+    x: Vector, p: Vector, t: float, u: Vector, h: float, side: float, y: Vector, e: Vector, z: Vector
+) -> float:
+    """Shorten a step in which the speed changes its sign so that it ends where the speed is zero; the new length."""
+    # Regula falsi in the Illinois form, Dowell and Jarratt (1971), doi:10.1007/BF01934364.
+    before, after, w_before, w_after = 0.0, h, x[1], y[1]
+    last = 0
+    for _ in range(100):
+        h = (before * w_after - after * w_before) / (w_after - w_before)
+        step(x, p, t, u, h, side, 1.0, y, e, z)
+        if abs(y[1]) <= LOCATED * abs(x[1]) or after - before <= LOCATED * after:
+            break
+        if y[1] * side > 0.0:
+            before, w_before = h, y[1]
+            w_after *= 0.5 if last == 1 else 1.0
+            last = 1
+        else:
+            after, w_after = h, y[1]
+            w_before *= 0.5 if last == -1 else 1.0
+            last = -1
+    y[1] = 0.0
+    return h
+
+
+def hold(
+    x: Vector,
+    p: Vector,
+    t: float,
+    u: Vector,
+    h: float,
+    excess: float,
+    ends: float,
+    y: Vector,
+    e: Vector,
+    z: Vector,
+) -> float:
+    """Shorten a step of a resting rotor so that it ends where the rotor breaks away; the new length."""
+    before, after = 0.0, h
+    last = 0
+    while after - before > LOCATED * after:
+        h = (before * ends - after * excess) / (ends - excess)
+        # Keep off the ends, so that the bracket shrinks from both sides.
+        h = min(max(h, before + 0.1 * LOCATED * after), after - 0.1 * LOCATED * after)
+        step(x, p, t, u, h, 0.0, 0.0, y, e, z)
+        now, _ = breaks_away(y, p, t, u, h)
+        if now <= 0.0:
+            before, excess = h, now
+            ends *= 0.5 if last == 1 else 1.0
+            last = 1
+        else:
+            after, ends = h, now
+            excess *= 0.5 if last == -1 else 1.0
+            last = -1
+    # At the end it must have broken away, or the next step would find it at rest and cut itself again.
+    step(x, p, t, u, after, 0.0, 0.0, y, e, z)
+    return after

@@ -1,0 +1,291 @@
+"""Simulation of a motor with all its effects, compiled to machine code for its structure.
+
+One code path serves smooth and real friction. A rotor that turns carries its friction in full (see `symbols.SIDE`); where
+its speed passes through zero the step is cut, and the rotor then rests as long as load and stiction can hold it (see
+`compile_loop`). With `smooth=True` friction is the effects' smooth form throughout, nothing rests, and the load drives
+the rotor either way: a differentiable motor.
+
+Steps adapt inside each sample so that the error of each stays below `tolerance`, relative to the size of the state; an
+inrush inside one sample of a second is resolved, and a steady state is passed in one step.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.compile import compiled
+from motorlens_physics.effect import Effect
+from motorlens_physics.motor import Motor
+from motorlens_physics.symbols import System, parameter_keys, parameter_values, trace
+from motorlens_runtime.errors import DataError, ModelError
+
+Array = NDArray[np.float64]
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What acts on a motor: (N,) float64 each; between samples held at the earlier one, or linear.
+
+    Attributes:
+        time_s: strictly increasing, spacing may vary.
+        voltage_V: at the terminals.
+        load_torque_Nm: positive against a forward rotation.
+        ambient_C: ambient temperature.
+        held: whether the values hold until the next sample (a drive's output) or run linearly to it.
+    """
+
+    time_s: Array
+    voltage_V: Array
+    load_torque_Nm: Array
+    ambient_C: Array
+    held: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "voltage_V", "load_torque_Nm", "ambient_C"):
+            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, values)
+            if values.shape != self.time_s.shape or values.ndim != 1:
+                raise DataError(
+                    f"inputs: {name} has shape {values.shape}, time_s has {np.shape(self.time_s)}"
+                )
+            if not np.isfinite(values).all():
+                raise DataError(
+                    f"inputs: {name} is not finite at sample {int(np.argmin(np.isfinite(values)))}"
+                )
+        backwards = np.diff(self.time_s) <= 0
+        if backwards.any():
+            raise DataError(f"inputs: time_s does not increase at sample {int(np.argmax(backwards)) + 1}")
+        if self.time_s.size == 0:
+            raise DataError("inputs: no samples")
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A simulated run: `states` are "i" (A), "w" (rad/s), "theta" (K) and those of effects, each (N,), at each sample."""
+
+    motor: Motor
+    inputs: Inputs
+    states: Mapping[str, Array]
+
+    @property
+    def current_A(self) -> Array:
+        """Armature current."""
+        return self.states["i"]
+
+    @property
+    def speed_rad_s(self) -> Array:
+        """Speed."""
+        return self.states["w"]
+
+    @property
+    def rise_K(self) -> Array:
+        """Rise of the winding above ambient."""
+        return self.states["theta"]
+
+    @property
+    def temperature_C(self) -> Array:
+        """Temperature of the winding."""
+        return self.rise_K + self.inputs.ambient_C
+
+    @property
+    def resistance_ohm(self) -> Array:
+        """Armature resistance."""
+        return np.asarray(self.motor.resistance(self.rise_K))
+
+
+def simulate(
+    motor: Motor,
+    inputs: Inputs,
+    initial: Mapping[str, float] | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+    smooth: bool = False,
+) -> Trajectory:
+    """Simulate a motor from its initial state (default: at rest, at ambient temperature) through all samples.
+
+    Raises:
+        ModelError: a state or parameter that is not finite or not there, or an integration that fails.
+    """
+    system, module = structure(motor)
+    states = initial_states(motor, system, initial)
+    out = np.empty((inputs.time_s.size, states.size))
+    run(module, motor, inputs, states, out, tolerance=tolerance, smooth=smooth)
+    return Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(system.states)})
+
+
+def simulate_batch(
+    motors: Sequence[Motor],
+    inputs: Sequence[Inputs],
+    initials: Sequence[Mapping[str, float] | None] | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+    smooth: bool = False,
+) -> list[Trajectory]:
+    """Simulate many runs on all cores; a single motor, or a single set of inputs, serves for all runs.
+
+    Raises:
+        ModelError: as `simulate`.
+        DataError: lengths that do not fit together.
+    """
+    runs = max(len(motors), len(inputs), len(initials or ()))
+    starts = initials if initials is not None else [None]
+    if any(len(part) not in (1, runs) for part in (motors, inputs, starts)):
+        raise DataError(f"batch: {len(motors)} motors, {len(inputs)} inputs and {len(starts)} initial states")
+    chosen = [
+        (motors[k % len(motors)], inputs[k % len(inputs)], starts[k % len(starts)]) for k in range(runs)
+    ]
+    for motor in motors:
+        structure(motor)
+
+    def one(case: tuple[Motor, Inputs, Mapping[str, float] | None]) -> Trajectory:
+        return simulate(*case, tolerance=tolerance, smooth=smooth)
+
+    # Compiled before the threads start; the compiled code runs without the interpreter's lock.
+    first = one(chosen[0])
+    with ThreadPoolExecutor(cores()) as pool:
+        return [first, *pool.map(one, chosen[1:])]
+
+
+class Stepper:
+    """A motor that is stepped along as its inputs become known: the plant of a live drive."""
+
+    def __init__(
+        self, motor: Motor, initial: Mapping[str, float] | None = None, *, tolerance: float = TOLERANCE
+    ) -> None:
+        """Put the motor into its initial state (default: at rest, at ambient temperature)."""
+        self._system, self._module = structure(motor)
+        self._x = initial_states(motor, self._system, initial)
+        self._parameters = np.array(parameter_values(motor), dtype=np.float64)
+        self._carry = np.array([np.inf, 0.0, 0.0])
+        self._time = np.zeros(2)
+        self._inputs = np.zeros((2, 3))
+        self._out = np.empty((2, self._x.size))
+        self._scale = np.maximum(_scales(motor, self._system, np.zeros((1, 3)), self._x), 1e-3)
+        self._motor, self._tolerance = motor, tolerance
+
+    @property
+    def states(self) -> dict[str, float]:
+        """The present states by name."""
+        return dict(zip(self._system.states, self._x.tolist(), strict=True))
+
+    def step(self, voltage: float, load: float, ambient: float, dt: float) -> dict[str, float]:
+        """Hold the inputs (V, N m, degC) for dt seconds; the states thereafter.
+
+        Raises:
+            ModelError: an input that is not finite, or an integration that fails.
+        """
+        time = self._time
+        time[0], time[1] = time[1], time[1] + dt
+        self._inputs[:] = voltage, load, ambient
+        self._scale = np.maximum(self._scale, _scales(self._motor, self._system, self._inputs, self._x))
+        failed = self._module.integrate(
+            time, self._inputs, True, False, self._parameters, self._x, self._carry, self._tolerance * self._scale,
+            self._tolerance, self._out, *_NOTHING,
+        )  # fmt: skip
+        if failed >= 0:
+            raise ModelError(_failure(time[0], self._system, self._x))
+        return self.states
+
+
+def structure(
+    motor: Motor, candidates: Sequence[Effect] = (), sensitivity_keys: Sequence[str] = ()
+) -> tuple[System, ModuleType]:
+    """The symbols and the compiled module of a motor's structure; parameter values do not matter."""
+    return _structure(
+        tuple(type(effect) for effect in motor.effects),
+        tuple(type(effect) for effect in candidates),
+        tuple(sensitivity_keys),
+    )
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def initial_states(motor: Motor, system: System, initial: Mapping[str, float] | None) -> Array:
+    """Where the states start, in the system's order; what `initial` does not name starts at its default.
+
+    Raises:
+        ModelError: an unknown name, or a value that is not finite.
+    """
+    defaults = {name: 0.0 for name in system.states} | motor.states()
+    given = {**defaults, **(initial or {})}
+    unknown = [name for name in given if name not in defaults]
+    if unknown:
+        raise ModelError(f"initial state {unknown[0]!r}: the motor has {', '.join(defaults)}")
+    x = np.array([given[name] for name in system.states], dtype=np.float64)
+    if not np.isfinite(x).all():
+        raise ModelError(f"initial state {system.states[int(np.argmin(np.isfinite(x)))]!r} is not finite")
+    return x
+
+
+def run(
+    module: ModuleType,
+    motor: Motor,
+    inputs: Inputs,
+    x: Array,
+    out: Array,
+    *,
+    tolerance: float,
+    smooth: bool,
+    candidates: Sequence[Effect] = (),
+    workspace: tuple[Array, Array, Array, Array] | None = None,
+) -> None:
+    """Integrate into `out` (N, n) from the states x; `workspace` is what the sensitivities need."""
+    parameters = np.array(parameter_values(motor, candidates), dtype=np.float64)
+    keys = parameter_keys(motor, candidates)
+    if not np.isfinite(parameters).all():
+        raise ModelError(f"{keys[int(np.argmin(np.isfinite(parameters)))]} is not finite")
+    for name in ("J", "H"):
+        if getattr(motor, name) <= 0:
+            raise ModelError(f"{name} = {getattr(motor, name):g}: must be positive")
+    system, _ = structure(motor, candidates)
+    stacked = np.column_stack([inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C])
+    atol = tolerance * _scales(motor, system, stacked, x)
+    out[0] = x
+    failed = module.integrate(
+        inputs.time_s, stacked, inputs.held, smooth, parameters, x.copy(), np.array([np.inf, 0.0, 0.0]), atol,
+        tolerance, out, *(workspace or _NOTHING),
+    )  # fmt: skip
+    if failed >= 0:
+        raise ModelError(_failure(inputs.time_s[failed], system, out[failed]))
+
+
+_NOTHING = (np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
+
+
+def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:
+    """The size of each state that counts as small, from what the inputs can bring about."""
+    volts = float(np.max(np.abs(inputs[:, 0])))
+    torque = float(np.max(np.abs(inputs[:, 1])))
+    # A tenth of the locked-rotor current and of the no-load speed; a hundredth of a kelvin, of a radian.
+    sizes = {
+        "i": max(0.1 * volts / motor.R_a0, 0.1 * torque / motor.ke, 0.1 * abs(x[0])),
+        "w": max(0.1 * volts / motor.ke, 0.1 * motor.R_a0 * torque / motor.ke**2, 0.1 * abs(x[1])),
+        "theta": 1.0,
+    }
+    return np.array([max(sizes.get(name, 0.1), 1e-6) for name in system.states])
+
+
+def _failure(time: float, system: System, x: Array) -> str:
+    at = ", ".join(f"{name} = {value:.4g}" for name, value in zip(system.states, x, strict=True))
+    return (
+        f"the simulation cannot go on at t = {time:g} s, where {at}; a parameter or an input is out of range"
+    )
+
+
+@cache
+def _structure(
+    effects: tuple[type[Effect], ...], candidates: tuple[type[Effect], ...], sensitivity_keys: tuple[str, ...]
+) -> tuple[System, ModuleType]:
+    motor = Motor(effects=tuple(effect() for effect in effects))
+    system = trace(motor, [effect() for effect in candidates], sensitivity_keys)
+    return system, compiled(system)

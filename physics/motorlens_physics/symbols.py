@@ -1,0 +1,154 @@
+"""The equations of a motor as symbols: its methods evaluated once on SymPy symbols, and derivatives thereof.
+
+`trace` gives M dx/dt = f(x, u, p) with the mass M = diag(L, J, H, 1, ...), so that L may be zero. An inductance that
+depends on the state is moved to the right-hand side as the ratio L / L(x).
+
+Real friction is a set: at rest it may be anything between its two limits. Beside the smooth tanh(w / width) of the
+effects, the symbols carry `side`: +1 or -1 for a rotor that turns, whose friction then has its full size at once
+(tanh(w / width + 20 side), which is `side` to the last bit), and 0 for the smooth form.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from types import SimpleNamespace
+from typing import Any
+
+import sympy as sp
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.motor import Motor
+from motorlens_physics.parameter import parameters
+
+# tanh(20) is 1 to the last bit of a float64.
+_SATURATED = 20
+INPUTS = ("v", "load", "ambient")
+# The inductance, inertia and heat capacity that stand before the derivatives of the three textbook states.
+MASSES = {"i": "L", "w": "J", "theta": "H"}
+
+
+def named(name: str) -> Any:
+    """The real symbol of that name."""
+    return sp.Symbol(name, real=True)
+
+
+SIDE = named("side")
+TIME = named("u_t")
+LOAD = named("u_load")
+
+
+@dataclass(frozen=True)
+class System:
+    """A motor's equations in symbols.
+
+    Attributes:
+        states: names; symbol `x_NAME` each. The states of the motor come first, then those only candidates bring.
+        keys: parameter keys in the order of the argument vector; symbol `p_K` each.
+        balances: right-hand side of each state's equation, before division by its mass.
+        stiction: torque that holds a resting rotor, in N m.
+        of_motor: how many of `states` are the motor's own.
+        forcings: for each sensitivity key, the derivative of the motor's own balances with respect to it.
+    """
+
+    states: tuple[str, ...]
+    keys: tuple[str, ...]
+    balances: tuple[Any, ...]
+    stiction: Any
+    of_motor: int
+    forcings: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    @property
+    def x(self) -> tuple[Any, ...]:
+        """Symbols of the states."""
+        return tuple(named(f"x_{name}") for name in self.states)
+
+    @property
+    def masses(self) -> tuple[Any, ...]:
+        """What stands before the derivative of each state."""
+        p = dict(zip(self.keys, self.p, strict=True))
+        return tuple(p[MASSES[name]] if name in MASSES else sp.Integer(1) for name in self.states)
+
+    @property
+    def p(self) -> tuple[Any, ...]:
+        """Symbols of the parameters."""
+        return tuple(named(f"p_{k}") for k in range(len(self.keys)))
+
+
+def trace(motor: Motor, candidates: Sequence[Effect] = (), sensitivity_keys: Sequence[str] = ()) -> System:
+    """The equations of a motor, and the forcings of its sensitivities.
+
+    A candidate stands in the equations at its null: its states run along, driven by the motor, and it acts on nothing;
+    the forcing of its switch says how it would.
+
+    Args:
+        motor: the structure; its parameters' values do not matter.
+        candidates: effects that the motor lacks.
+        sensitivity_keys: keys of parameters, such as "R_a0" or "coulomb_friction.tau_c", of motor or candidates.
+    """
+    keys = parameter_keys(motor, candidates)
+    symbol = {key: named(f"p_{k}") for k, key in enumerate(keys)}
+    whole = _symbolic(replace(motor, effects=(*motor.effects, *candidates)), symbol)
+    states = tuple(dict.fromkeys((*motor.states(), *whole.states())))
+    x = SimpleNamespace(**{name: named(f"x_{name}") for name in states})
+    u = SimpleNamespace(**{name: named(f"u_{name}") for name in (*INPUTS, "t")})
+
+    voltage, torque, heat = (sp.sympify(balance) for balance in whole.balances(x, u))
+    if whole.inductance(x, u) != symbol["L"]:
+        voltage = voltage / sp.cancel(whole.inductance(x, u) / symbol["L"])
+    rates = whole.rates(x, u)
+    balances = [voltage, torque, heat, *(sp.sympify(rates[name]) for name in states[3:])]
+
+    at_null = {
+        symbol[f"{effect.name()}.{effect.switch().name}"]: sp.Float(effect.switch().null)
+        for effect in candidates
+    }
+    own = balances[: len(motor.states())]
+    forcings = {key: tuple(sp.diff(f, symbol[key]).subs(at_null) for f in own) for key in sensitivity_keys}
+    stiction = sum((effect.stiction(whole, x, u) for effect in whole.effects), start=sp.Integer(0))
+    return System(
+        states=states,
+        keys=keys,
+        balances=tuple(f.subs(at_null) for f in balances),
+        stiction=sp.sympify(stiction).subs(at_null),
+        of_motor=len(own),
+        forcings=forcings,
+    )
+
+
+def parameter_keys(motor: Motor, candidates: Sequence[Effect] = ()) -> tuple[str, ...]:
+    """Keys of all parameters of a motor and further effects, in the order of `parameter_values`."""
+    parts = (*motor.effects, *candidates)
+    return (*parameters(motor), *(f"{part.name()}.{name}" for part in parts for name in part.parameters()))
+
+
+def parameter_values(motor: Motor, candidates: Sequence[Effect] = ()) -> list[float]:
+    """The values that belong to `parameter_keys`."""
+    parts = (*motor.effects, *candidates)
+    return [getattr(part, name) for part in (motor, *parts) for name in parameters(part)]
+
+
+def _symbolic(motor: Motor, symbol: Mapping[str, Any]) -> Motor:
+    """The motor with symbols for parameters and sharp friction."""
+    parts = []
+    for effect in motor.effects:
+        values = {name: symbol[f"{effect.name()}.{name}"] for name in effect.parameters()}
+        parts.append(_sharpened(replace(effect, **values)))
+    own = {f.name: symbol[f.name] for f in fields(motor) if f.name in symbol}
+    return replace(motor, effects=tuple(parts), **own)
+
+
+def _sharpened(effect: Effect) -> Effect:
+    """The effect with friction of full size as soon as the rotor turns, see `SIDE`."""
+
+    class Sharp(type(effect)):  # type: ignore[misc]
+        def torque(self, m: Any, x: Any, u: Any) -> Any:
+            torque = sp.sympify(super().torque(m, x, u))
+            if self.stiction(m, x, u) == 0:
+                return torque
+
+            def turns(term: Any) -> bool:
+                return isinstance(term, sp.tanh) and term.has(x.w) and term.args[0].subs(x.w, 0) == 0
+
+            return torque.replace(turns, lambda term: sp.tanh(term.args[0] + _SATURATED * SIDE))
+
+    Sharp.__name__ = type(effect).__name__
+    return Sharp(**{f.name: getattr(effect, f.name) for f in fields(effect)})
