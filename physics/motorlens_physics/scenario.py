@@ -22,16 +22,19 @@ from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
 from motorlens_runtime.errors import DataError
 
-# An open circuit is an armature resistance this many times the real one.
-OPEN_CIRCUIT = 1e6
+# An open circuit is an armature resistance, and a locked rotor an inertia, this many times the real one.
+IMMOVABLE = 1e9
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of a test: what is applied, and whether the terminals are open (the voltage is then ignored)."""
+    """A stretch of a test: what is applied, and whether the terminals are open (the voltage is then ignored) or the
+    shaft is locked (the load is then what the lock bears).
+    """
 
     inputs: Inputs
     open_circuit: bool = False
+    locked: bool = False
 
 
 @dataclass(frozen=True)
@@ -193,10 +196,15 @@ def steps(time_s: Array, at_s: Array, values: Array) -> Array:
 
 
 def _run(motor: Motor, phase: Phase, state: Mapping[str, float]) -> Trajectory:
-    if not phase.open_circuit:
-        return simulate(motor, phase.inputs, state)
-    opened = replace(motor, R_a0=motor.R_a0 * OPEN_CIRCUIT)
-    return simulate(opened, replace(phase.inputs, voltage_V=0 * phase.inputs.voltage_V), {**state, "i": 0.0})
+    inputs = phase.inputs
+    if phase.locked:
+        inputs = replace(inputs, load_torque_Nm=0 * inputs.load_torque_Nm)
+        motor = replace(motor, J=motor.J * IMMOVABLE)
+    if phase.open_circuit:
+        inputs = replace(inputs, voltage_V=0 * inputs.voltage_V)
+        motor = replace(motor, R_a0=motor.R_a0 * IMMOVABLE)
+        state = {**state, "i": 0.0}
+    return simulate(motor, inputs, state)
 
 
 def _channels(motor: Motor, phase: Phase, trajectory: Trajectory, keep_last: bool) -> dict[str, Array]:
@@ -208,14 +216,17 @@ def _channels(motor: Motor, phase: Phase, trajectory: Trajectory, keep_last: boo
         x = SimpleNamespace(**{**states, "i": current})
         u = SimpleNamespace(v=0.0, load=load, ambient=inputs.ambient_C, t=inputs.time_s)
         voltage = -np.asarray(motor.balances(x, u)[0])
+    speed = trajectory.speed_rad_s
+    if phase.locked:
+        speed, load = np.zeros_like(speed), motor.ke * current
     # A brake that holds a resting rotor takes up the motor's torque, no more.
-    resting = trajectory.speed_rad_s == 0
-    load = np.where(resting & (load != 0), np.clip(motor.ke * current, -np.abs(load), np.abs(load)), load)
+    resting = (speed == 0) & (load != 0)
+    load = np.where(resting, np.clip(motor.ke * current, -np.abs(load), np.abs(load)), load)
     channels: dict[str, Any] = {
         "time": inputs.time_s,
         "voltage": voltage,
         "current": current,
-        "speed": trajectory.speed_rad_s,
+        "speed": speed,
         "temperature": trajectory.temperature_C,
         "resistance": motor.resistance(trajectory.rise_K),
         "load_torque": load,

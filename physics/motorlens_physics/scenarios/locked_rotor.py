@@ -13,8 +13,7 @@ from motorlens_physics.simulation import Inputs
 class LockedRotor(Scenario):
     """The shaft is held while the voltage steps through both polarities at up to rated current.
 
-    With w = 0 the terminals show R and the brush drop alone (IEEE Std 113-1985, 5.4). The brake holds more than the motor
-    can give.
+    With w = 0 the terminals show R and the brush drop alone (IEEE Std 113-1985, 5.4). `load_torque` is what the lock bears.
     """
 
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
@@ -25,6 +24,5 @@ class LockedRotor(Scenario):
         shares = np.array([0.0, 0.25, 0.5, 1.0, 0.5, -0.5, -1.0, -0.5, -0.25, 0.0])
         at = duration * np.arange(len(shares)) / len(shares)
         voltage = steps(time, at, rated_drop * shares)
-        brake = 10 * motor.ke * plate.current_A
-        load = np.where(voltage >= 0, brake, -brake)
-        return Plan((Phase(Inputs(time, voltage, load, np.full_like(time, plate.ambient_C), held=True)),))
+        still = np.zeros_like(time)
+        return Plan((Phase(Inputs(time, voltage, still, still + plate.ambient_C, held=True), locked=True),))

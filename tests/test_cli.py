@@ -1,0 +1,88 @@
+"""The command line: every command explains itself, and every mistake gets one line and the right exit status."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+COMMANDS = sorted(point.name for point in entry_points(group="motorlens.commands"))
+ROOT = Path(__file__).resolve().parents[1]
+MOTOR = "models/motors/mellah2016.toml"
+
+
+def motorlens(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from motorlens_runtime.cli import main; sys.exit(main())",
+            *arguments,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    done = motorlens(command, "--help")
+    assert done.returncode == 0, done.stderr
+    assert "example:" in done.stdout
+    assert f"motorlens {command}" in done.stdout.partition("example:")[2]
+    assert "--json" in done.stdout
+
+
+def test_the_overview_names_every_command_without_loading_what_is_heavy() -> None:
+    probe = (
+        "import sys; from motorlens_runtime.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'torch', 'scipy', 'sympy', 'numba', 'onnxruntime', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", probe], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert all(command in done.stdout for command in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        ([], 2, "COMMAND"),
+        (["fly"], 2, "invalid choice: 'fly'"),
+        (["simulate", MOTOR, "--scenario", "dutty", "-o", "x.csv"], 1, "--scenario dutty: unknown"),
+        (["simulate", MOTOR, "--effect", "columb_friction.tau_c=1", "-o", "x.csv"], 1, "did you mean 'coulomb_friction'?"),
+        (["simulate", MOTOR, "--effect", "coulomb_friction.tau_c=-1", "-o", "x.csv"], 1, "outside 0 to"),
+        (["simulate", "nowhere.toml", "-o", "x.csv"], 1, "nowhere.toml: No such file or directory"),
+        (["simulate", MOTOR, "--noise", "0.5", "-o", "x.csv"], 1, "say of which channel"),
+        (["simulate", "README.md", "-o", "x.csv"], 1, "not a motor file"),
+    ],
+)  # fmt: skip
+def test_a_mistake_gets_one_line(arguments: list[str], status: int, said: str) -> None:
+    done = motorlens(*arguments)
+    assert done.returncode == status
+    assert said in done.stderr
+    if status == 1:
+        assert done.stderr.count("\n") == 1
+        assert done.stderr.startswith("motorlens simulate: ")
+
+
+def test_a_missing_extra_is_named(tmp_path: Path) -> None:
+    (tmp_path / "sympy.py").write_text(
+        "raise ModuleNotFoundError(\"No module named 'sympy'\", name='sympy')\n"
+    )
+    done = motorlens("simulate", MOTOR, "-o", str(tmp_path / "x.csv"), PYTHONPATH=str(tmp_path))
+    assert done.returncode == 1
+    assert (
+        done.stderr
+        == "motorlens simulate: needs sympy, which is not installed: pip install 'motorlens[workbench]'\n"
+    )
