@@ -41,7 +41,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         root = (error.name or "").partition(".")[0]
         if root not in EXTRAS:
             raise
-        return _fail(parsed.command, f"needs {root}, which is not installed: pip install 'motorlens[{EXTRAS[root]}]'")
+        return _fail(
+            parsed.command, f"needs {root}, which is not installed: pip install 'motorlens[{EXTRAS[root]}]'"
+        )
     except BrokenPipeError:
         # The reader of our output has gone (`| head`); that is its right, not an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -83,7 +85,11 @@ def _parser(modules: dict[str, str], chosen: str | None) -> argparse.ArgumentPar
         module = importlib.import_module(modules[name])
         summary, epilog = _documentation(module)
         command = commands.add_parser(
-            name, help=summary, description=summary, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+            name,
+            help=summary,
+            description=summary,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(command)
         command.set_defaults(run=module.run)

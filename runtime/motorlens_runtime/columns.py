@@ -90,7 +90,11 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
         quantity, unit_left = _mapped_quantity(key)
         if heading not in cleaned:
             near = difflib.get_close_matches(heading, cleaned, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; it has {', '.join(repr(c) for c in cleaned if c)}"
+            hint = (
+                f"; did you mean {near[0]!r}?"
+                if near
+                else f"; it has {', '.join(repr(c) for c in cleaned if c)}"
+            )
             raise DataError(f"{where}: no column {heading!r} for {quantity}{hint}")
         unit = unit_left or _unit_in(heading, QUANTITIES[quantity][0]) or QUANTITIES[quantity][0]
         found[quantity] = _column(cleaned.index(heading), heading, quantity, unit, where)
@@ -108,7 +112,9 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
     return found
 
 
-def require(found: Mapping[str, Column], quantities: Sequence[str], headings: Sequence[str], where: str) -> None:
+def require(
+    found: Mapping[str, Column], quantities: Sequence[str], headings: Sequence[str], where: str
+) -> None:
     """Refuse a recording that lacks one of `quantities`, saying which columns it has and how to map one."""
     for quantity in quantities:
         if quantity not in found:
@@ -141,7 +147,9 @@ def _mapped_quantity(key: str) -> tuple[str, str | None]:
         if key.startswith(quantity + "_"):
             return quantity, key[len(quantity) + 1 :]
     near = difflib.get_close_matches(key, QUANTITIES, n=1)
-    raise DataError(f"unknown quantity {key!r}; {f'did you mean {near[0]!r}?' if near else 'known: ' + ', '.join(QUANTITIES)}")
+    raise DataError(
+        f"unknown quantity {key!r}; {f'did you mean {near[0]!r}?' if near else 'known: ' + ', '.join(QUANTITIES)}"
+    )
 
 
 def _recognise(heading: str) -> tuple[str, str] | None:
@@ -160,14 +168,23 @@ def _recognise(heading: str) -> tuple[str, str] | None:
             if heading.lower().startswith(name + "_"):
                 suffix = heading[len(name) + 1 :]
                 # A longer word (`current_limit_A`) is another quantity, and `speed_reference` no unit.
-                if _lookup(unit, suffix) is not None or heading.lower().startswith(quantity + "_") and _unitlike(suffix):
+                if _lookup(unit, suffix) is not None or (
+                    heading.lower().startswith(quantity + "_") and _unitlike(suffix)
+                ):
                     return quantity, suffix
     return None
 
 
 def _unitlike(suffix: str) -> bool:
     """Whether a suffix reads as a unit rather than as another word of the name: short last pieces only."""
-    return all(len(piece) <= 4 for piece in suffix.split("_")) and suffix.lower() not in ("ref", "raw", "cmd", "set", "max", "min")
+    return all(len(piece) <= 4 for piece in suffix.split("_")) and suffix.lower() not in (
+        "ref",
+        "raw",
+        "cmd",
+        "set",
+        "max",
+        "min",
+    )
 
 
 def _unit_in(heading: str, canonical: str) -> str | None:
@@ -186,7 +203,9 @@ def _lookup(canonical: str, unit: str) -> tuple[float, float] | None:
     """Factor and offset of a spelling, with `_`, `·`, `.` and `-` accepted between the parts of a unit."""
     for spelling, conversion in _UNITS[canonical].items():
         pieces = re.split(r"[/*]", spelling)
-        if unit == spelling or (len(pieces) == 2 and re.fullmatch(rf"{pieces[0]}[/_·*.\- ]?{pieces[1]}", unit)):
+        if unit == spelling or (
+            len(pieces) == 2 and re.fullmatch(rf"{pieces[0]}[/_·*.\- ]?{pieces[1]}", unit)
+        ):
             return conversion
     return None
 

@@ -146,8 +146,8 @@ class Hello:
             if not channels or len({channel.type for channel in channels}) != 1:
                 raise ValueError("channels of more than one type, or none")
             return Hello(
-                device=str(document["device"]), boot=int(document["boot"]), rate_Hz=(numerator, denominator), channels=channels,
-                schema=int(document["schema"]), firmware=str(document.get("firmware", "")),
+                device=str(document["device"]), boot=int(document["boot"]), rate_Hz=(numerator, denominator),
+                channels=channels, schema=int(document["schema"]), firmware=str(document.get("firmware", "")),
                 simulated=bool(document.get("simulated", False)), protocol=int(document["protocol"]),
             )  # fmt: skip
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
