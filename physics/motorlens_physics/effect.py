@@ -7,8 +7,9 @@ effect; two effects may share a state (the shaft angle `phi`) if they give it th
 
 Signs: a term that opposes the current or the motion is negative, as it stands on the right-hand side.
 
-Exactly one parameter has a `null`: the switch. The others shape the effect and do nothing while the switch is at null,
-so that whether the effect is missing is one question with one answer.
+Exactly one parameter has a `null`: the switch. With it at null every term is exactly zero in every state, the effect's
+own states included: they run along and act on nothing. So whether the effect is missing is one question, and the
+derivative of the terms to the switch says how it would show.
 """
 
 import importlib

@@ -10,20 +10,21 @@ from motorlens_physics.parameter import param
 
 @dataclass(frozen=True)
 class IronHeatDelay(Effect):
-    """A share of the iron loss warms the core first: -s k_ir w^2 + q / tau, dq/dt = s k_ir w^2 - q / tau.
+    """A share of the iron loss warms the core first: +s (p - k_ir w^2), tau dp/dt = k_ir w^2 - p.
 
-    q is the heat under way. It goes on arriving after the motor has stopped, when no fan cools any more: the winding
-    of a motor just switched off warms for a while (heat soak). What goes in comes out.
+    p is the iron loss as it leaves the core, tau s p the heat under way. It goes on arriving after the motor has
+    stopped, when no fan cools any more: the winding of a motor just switched off warms for a while (heat soak). What
+    goes in comes out.
     Kirchgässner, Wallscheid and Böcker (2023), Thermal neural networks, doi:10.1016/j.engappai.2022.105537, section 2:
-    the loss of a node enters where it arises.
+    a loss enters the node in which it arises.
 
     >>> from types import SimpleNamespace as At
-    >>> delay, m, x = IronHeatDelay(s=0.5, tau=40.0), At(k_ir=0.002), At(w=100.0, q=240.0)
-    >>> round(delay.heat(m, x, None), 6), round(delay.rates(m, x, None)["q"], 6)  # 240 / 40 - 0.5 20
-    (-4.0, 4.0)
+    >>> delay, m, x = IronHeatDelay(s=0.5, tau=40.0), At(k_ir=0.002), At(w=100.0, p=12.0)
+    >>> round(delay.heat(m, x, None), 6), round(delay.rates(m, x, None)["p"], 6)  # 0.5 (12 - 20), (20 - 12) / 40
+    (-4.0, 0.2)
     """
 
-    states: ClassVar[Mapping[str, State]] = {"q": State("J", "iron loss on its way to the winding")}
+    states: ClassVar[Mapping[str, State]] = {"p": State("W", "iron loss as it leaves the core")}
     excited_by: ClassVar[tuple[str, ...]] = ("heat_soak", "duty")
 
     s: float = param(
@@ -32,7 +33,7 @@ class IronHeatDelay(Effect):
     tau: float = param(100.0, "s", "time constant of the delay", bounds=(0.1, 1e5), prior=100.0)
 
     def heat(self, m: Any, x: Any, u: Any) -> Any:
-        return x.q / self.tau - self.s * m.k_ir * x.w**2
+        return self.s * (x.p - m.k_ir * x.w**2)
 
     def rates(self, m: Any, x: Any, u: Any) -> Mapping[str, Any]:
-        return {"q": self.s * m.k_ir * x.w**2 - x.q / self.tau}
+        return {"p": (m.k_ir * x.w**2 - x.p) / self.tau}
