@@ -22,7 +22,7 @@ class LoadDependentFriction(Effect):
     -0.106043
     """
 
-    excited_by: ClassVar[tuple[str, ...]] = ("load_steps", "no_load_steps", "direct_on_line")
+    excited_by: ClassVar[tuple[str, ...]] = ("overhauling_load", "load_steps", "no_load_steps")
     friction: ClassVar[bool] = True
 
     mu: float = param(0.0, "1", "friction per torque carried", bounds=(0.0, 1.0), prior=0.05, null=0.0)
