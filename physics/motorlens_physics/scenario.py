@@ -142,8 +142,7 @@ def measure(
     channels = dict(recording.channels)
     for sensor in sensors:
         if sensor.channel in channels:
-            y = channels[sensor.channel]
-            channels[sensor.channel] = np.asarray(sensor.read(y, np.gradient(y, recording.time_s)))
+            channels[sensor.channel] = sensor.record(recording.time_s, channels[sensor.channel], rng)
     for channel in sorted(noise):
         if channel in channels:
             channels[channel] = channels[channel] + noise[channel] * rng.standard_normal(len(recording))
