@@ -1,0 +1,63 @@
+"""Estimate speed, temperature and resistance from a recorded CSV.
+
+The file may be of any length: it is streamed. Output is CSV, or Parquet if OUT ends in .parquet.
+
+example: motorlens infer recording.csv --sensor models/sensors/mellah2016.onnx -o estimates.csv
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from motorlens_runtime.cli import add_json_argument, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "recording", metavar="REC.csv", help="time, voltage and current, one row a sample; .gz is read too"
+    )
+    parser.add_argument("--sensor", required=True, metavar="S.onnx", help="the virtual sensor")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="estimates; - is standard output"
+    )
+    parser.add_argument(
+        "--column",
+        action="append",
+        default=[],
+        metavar="QUANTITY=NAME",
+        help="which column holds a quantity, e.g. speed=wL_rad_s",
+    )
+    parser.add_argument(
+        "--ambient", type=float, metavar="DEGREES_C", help="for a sensor that needs it and a file without it"
+    )
+    parser.add_argument(
+        "--backend", choices=("auto", "onnxruntime", "numpy"), default="auto", help="default: auto"
+    )
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from motorlens_runtime.infer import infer
+
+    if arguments.output == "-" and arguments.json == "-":
+        from motorlens_runtime.errors import DataError
+
+        raise DataError("-o and --json cannot both be standard output")
+    target = Path(arguments.output)
+    # The file appears under its name only when it is complete.
+    part = target.with_name(f".{target.name}.{os.getpid()}.part") if arguments.output != "-" else None
+    try:
+        summary = infer(
+            arguments.recording, arguments.sensor, part, arguments.column, arguments.ambient, arguments.backend,
+            parquet=target.suffix == ".parquet",
+        )  # fmt: skip
+        if part is not None:
+            part.replace(target)
+    finally:
+        if part is not None:
+            part.unlink(missing_ok=True)
+    for note in summary["notes"]:
+        print(f"motorlens infer: {arguments.recording}: {note}", file=sys.stderr)
+    write_json(summary, arguments.json)
+    return 0

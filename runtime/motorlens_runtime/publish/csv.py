@@ -1,0 +1,50 @@
+"""`csv:FILE`: time, each estimate with its standard deviation, and the quality word; a heading line, SI units."""
+
+import sys
+from pathlib import Path
+from typing import IO
+from urllib.parse import SplitResult
+
+import numpy as np
+
+from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.publish import Header, file_of
+
+
+def open_url(url: SplitResult, header: Header) -> "CsvPublisher":
+    """See `publish`. An existing file is replaced."""
+    return CsvPublisher(Path(file_of(url)).open("w", encoding="ascii", newline=""), header)
+
+
+class CsvPublisher:
+    """Writes to an open text file. Nine significant digits hold a float32 exactly."""
+
+    def __init__(self, file: IO[str], header: Header) -> None:
+        self._file = file
+        columns = [name for output in header.outputs for name in (output.heading, output.sd_heading)]
+        self._file.write(",".join(["time_s", *columns, "quality"]) + "\n")
+        self._line = "%s" + ",%.9g" * len(columns) + ",%d\n"
+
+    def publish(self, estimates: Estimates) -> None:
+        """One line per row."""
+        times = (estimates.time_ns / 1e9).tolist()
+        rows = np.stack((estimates.values, estimates.sigma), axis=2).reshape(len(times), -1).tolist()
+        line = self._line
+        self._file.write(
+            "".join(
+                [
+                    line % (t, *row, q)
+                    for t, row, q in zip(times, rows, estimates.quality.tolist(), strict=True)
+                ]
+            )
+        )
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file, unless it is standard output."""
+        self._file.flush()
+        if self._file is not sys.stdout:
+            self._file.close()

@@ -1,0 +1,69 @@
+"""`parquet:FILE`: the columns of `csv` in full precision, in row groups. Needs the `publish` extra.
+
+A Parquet file is readable only once its end is written; a recorder that may be killed should write CSV.
+"""
+
+from urllib.parse import SplitResult
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.publish import Header, file_of
+
+_ROWS_PER_GROUP = 1 << 16
+
+
+def open_url(url: SplitResult, header: Header) -> "ParquetPublisher":
+    """See `publish`. An existing file is replaced."""
+    return ParquetPublisher(file_of(url), header)
+
+
+class ParquetPublisher:
+    """Writes to a file by its name."""
+
+    def __init__(self, path: str, header: Header) -> None:
+        headings = [name for output in header.outputs for name in (output.heading, output.sd_heading)]
+        fields = [
+            ("time_s", pa.float64()),
+            *((name, pa.float64()) for name in headings),
+            ("quality", pa.uint32()),
+        ]
+        about = {
+            "motorlens.sensor": header.sensor,
+            "motorlens.version": header.version,
+            "motorlens.sha256": header.digest,
+        }
+        self._schema = pa.schema(fields, metadata=about)
+        # Noise does not repeat: a dictionary per column only costs time.
+        self._writer = pq.ParquetWriter(path, self._schema, use_dictionary=["quality"], compression="lz4")
+        self._waiting: list[Estimates] = []
+        self._rows = 0
+
+    def publish(self, estimates: Estimates) -> None:
+        """Keep the rows until a row group is full."""
+        self._waiting.append(estimates)
+        self._rows += len(estimates)
+        if self._rows >= _ROWS_PER_GROUP:
+            self._write()
+
+    def flush(self) -> None:
+        """Nothing: row groups are written when they are full."""
+
+    def close(self) -> None:
+        """Write what is left and the end of the file."""
+        self._write()
+        self._writer.close()
+
+    def _write(self) -> None:
+        if not self._rows:
+            return
+        time_s = np.concatenate([e.time_ns for e in self._waiting]) / 1e9
+        pairs = np.concatenate(
+            [np.stack((e.values, e.sigma), axis=2).reshape(len(e), -1) for e in self._waiting]
+        )
+        quality = np.concatenate([e.quality for e in self._waiting])
+        arrays = [time_s, *np.ascontiguousarray(pairs.T), quality]
+        self._writer.write_table(pa.table([pa.array(array) for array in arrays], schema=self._schema))
+        self._waiting, self._rows = [], 0

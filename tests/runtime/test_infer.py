@@ -1,0 +1,202 @@
+"""`motorlens infer` as a user meets it: what comes out, and one clear line for each way in which a file can be wrong."""
+
+import csv
+import gzip
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from helpers.recordings import needs_recordings, regbot
+from helpers.sensor_files import features_by_loop, write_sensor
+
+from motorlens_runtime.cli import main
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_sensor("s.onnx")
+    return tmp_path
+
+
+def rows_of(n=300, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.column_stack([np.arange(n) / 1000, 100 + rng.normal(size=n), 8 + rng.normal(size=n)])
+
+
+def write(path, rows, heading="time_s,voltage_V,current_A", separator=","):
+    lines = [separator.join("" if np.isnan(x) else repr(float(x)) for x in row) for row in rows]
+    path.write_text("\n".join([heading, *lines]) + "\n")
+
+
+def infer(*arguments):
+    return main(["infer", *map(str, arguments), "--sensor", "s.onnx", "-o", "out.csv"])
+
+
+def read(path="out.csv"):
+    with open(path) as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def test_every_row_has_the_estimate_of_the_slow_reading(here):
+    spec, network = write_sensor("s.onnx")
+    rows = rows_of()
+    write(here / "rec.csv", rows)
+    assert infer("rec.csv", "--json", "summary.json") == 0
+    result = read()
+    values, sigma = network(features_by_loop(spec, *rows.T))
+    names = ["speed_rad_s", "temperature_rise_K", "resistance_ohm"]
+    sd_names = ["speed_sd_rad_s", "temperature_rise_sd_K", "resistance_sd_ohm"]
+    for column, output in enumerate(spec["outputs"]):
+        assert np.abs(result[names[column]] - values[:, column]).max() < 2e-5 * output["scale"]
+        assert np.abs(result[sd_names[column]] - sigma[:, column]).max() < 2e-5 * output["scale"]
+    assert np.array_equal(result["time_s"], rows[:, 0])
+    summary = json.loads((here / "summary.json").read_text())
+    assert summary["rows"] == 300 and summary["period_s"] == 0.001 and summary["quality"] == {"warm_up": 50}
+
+
+def test_other_headings_separators_units_and_compression_give_the_same(here):
+    rows = rows_of()
+    write(here / "a.csv", rows)
+    infer("a.csv")
+    expected = (here / "out.csv").read_bytes()
+    write(here / "b.csv", rows, "t[s];Voltage (V);i[A]", ";")
+    write(
+        here / "c.csv",
+        np.column_stack([rows[:, 0], rows[:, 0], rows[:, 1:]]),
+        "time_s\tnote\tu\tcurrent_A",
+        "\t",
+    )
+    with gzip.open(here / "d.csv.gz", "wb") as file:
+        file.write((here / "a.csv").read_bytes().replace(b"\n", b"\r\n"))
+    text = (here / "a.csv").read_text().splitlines()
+    (here / "e.csv").write_text(
+        "\n".join([text[0] + ",remark", *(f'{line},"hot, really"' for line in text[1:])])
+    )
+    for arguments in (["b.csv"], ["c.csv", "--column", "voltage=u"], ["d.csv.gz"], ["e.csv"]):
+        assert infer(*arguments) == 0
+        assert (here / "out.csv").read_bytes() == expected, arguments
+
+
+def test_parquet_holds_the_same_numbers(here):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    write(here / "rec.csv", rows_of(5000))
+    infer("rec.csv")
+    assert main(["infer", "rec.csv", "--sensor", "s.onnx", "-o", "out.parquet"]) == 0
+    table = parquet.read_table("out.parquet")
+    for name, column in read().items():
+        # nine digits hold a float32
+        assert np.array_equal(np.float32(table[name].to_numpy()), np.float32(column)), name
+
+
+def test_cells_without_a_number_are_bridged_and_flagged(here):
+    rows = rows_of()
+    rows[100, 1] = rows[200, 2] = np.nan
+    write(here / "rec.csv", rows)
+    (here / "rec.csv").write_text((here / "rec.csv").read_text().replace("0.1,,", "0.1,NaN,"))
+    assert infer("rec.csv", "--json", "summary.json") == 0
+    result = read()
+    assert np.isfinite(np.concatenate(list(result.values()))).all()
+    assert np.flatnonzero(result["quality"].astype(int) & 32).tolist() == [100, 200]
+    assert json.loads((here / "summary.json").read_text())["quality"]["not_finite"] == 2
+
+
+def test_repeated_time_and_a_cut_last_line_are_said(here, capsys):
+    rows = rows_of()
+    rows[50, 0] = rows[49, 0]
+    write(here / "rec.csv", rows)
+    with (here / "rec.csv").open("a") as file:
+        file.write("0.3,10")
+    assert infer("rec.csv") == 0
+    error = capsys.readouterr().err
+    assert "1 rows repeat the time" in error and "row 302 is cut short" in error
+    assert len(read()["time_s"]) == 300
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: "", "rec.csv: the file is empty"),
+        (lambda text: text.splitlines()[0] + "\n", "rec.csv: has a heading but no rows"),
+        (lambda text: text.replace("current_A", "note"), "no current column"),
+        (
+            lambda text: text.replace("voltage_V", "voltage_furlong"),
+            "unknown unit 'furlong'|no voltage column",
+        ),
+        (lambda text: text.replace("voltage_V", "voltage_lbf"), "column 'voltage_lbf': unknown unit 'lbf'"),
+        (lambda text: text.replace("\n0.1,", "\n0.1,abc"), "row 102, column 'voltage_V': 'abc"),
+        (
+            lambda text: text.replace("\n0.1,", "\n0.05,"),
+            "row 102, column 'time_s': time runs backwards by 0.049 s",
+        ),
+        (lambda text: text.replace("\n0.1,", "\n,"), "row 102, column 'time_s': nan is no time"),
+        (lambda text: text.replace("\n0.1,", "\n1e300,"), "row 102, column 'time_s': 1e[+]300 is no time"),
+        (lambda text: text.replace("\n0.1,", "\n0.1\n0.1,"), "row 102: 1 cells where the heading has 3"),
+        (lambda text: text.replace("current_A", "voltage_mV"), "both look like voltage"),
+        (lambda text: "x" * 3_000_000, "row 2: longer than|no time column"),
+    ],
+)
+def test_a_wrong_file_is_one_clear_line_and_leaves_no_output(here, capsys, change, message):
+    write(here / "rec.csv", rows_of())
+    (here / "rec.csv").write_text(change((here / "rec.csv").read_text()))
+    assert infer("rec.csv") == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("motorlens infer: rec.csv")
+    assert re.search(message, lines[0]), lines[0]
+    assert sorted(path.name for path in here.iterdir()) == ["rec.csv", "s.onnx"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.csv"], "none.csv: No such file"),
+        (["."], "Is a directory"),
+        (["rec.csv", "--column", "speed"], "--column speed: write QUANTITY=COLUMN"),
+        (["rec.csv", "--column", "voltage=u"], "no column 'u'"),
+        (["rec.csv", "--backend", "numpy", "--sensor", "none.onnx"], "none.onnx: No such file"),
+        (["rec.csv", "-o", "none/out.csv"], "none: cannot write there|No such file"),
+    ],
+)
+def test_wrong_arguments_are_one_clear_line(here, capsys, arguments, message):
+    write(here / "rec.csv", rows_of())
+    command = ["infer", "--sensor", "s.onnx", "-o", "out.csv", *arguments]
+    assert main(command) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and re.search(message, lines[0]), lines
+
+
+def test_damaged_gzip(here, capsys):
+    write(here / "a.csv", rows_of(5000))
+    (here / "a.csv.gz").write_bytes(gzip.compress((here / "a.csv").read_bytes())[:-1000])
+    assert infer("a.csv.gz") == 1
+    assert "damaged or cut short" in capsys.readouterr().err
+
+
+def test_memory_does_not_grow_with_the_file(here):
+    """Peak memory of a fresh process on a file and on one eight times as long."""
+    body = (here / "b.txt").with_suffix(".txt")
+    # ru_maxrss is inherited from the parent; VmHWM is this program's own
+    script = (
+        "import sys; from motorlens_runtime.cli import main; status = main(sys.argv[1:]);"
+        "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0]); sys.exit(status)"
+    )
+    peaks = []
+    for n in (40_000, 320_000):
+        body.write_text(
+            "time_s,voltage_V,current_A\n" + "".join(f"{k / 1000},100.5,8.25\n" for k in range(n))
+        )
+        command = [sys.executable, "-c", script, "infer", str(body), "--sensor", "s.onnx", "-o", "out.csv"]
+        peaks.append(int(subprocess.run(command, capture_output=True, check=True).stdout))
+    assert peaks[1] < 1.1 * peaks[0]
+    assert peaks[1] < 150_000
+
+
+@needs_recordings
+@pytest.mark.parametrize("robot", [4, 5])
+def test_a_real_recording_with_its_own_headings(here, robot):
+    assert infer(regbot(robot), "--column", "voltage=vL_V", "--column", "current=iL_A") == 0
+    assert len(read()["time_s"]) == 512
