@@ -5,7 +5,6 @@ of another shows.
 """
 
 import doctest
-import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,6 +15,7 @@ import numpy as np
 import pint
 import sympy
 
+from motorlens_physics.describe import CITATION
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Rated, parameters
@@ -33,10 +33,6 @@ PLATES = (
 TERMS = {"voltage": "V", "torque": "N*m", "heat": "W", "inductance": "H", "stiction": "N*m"}
 TEXTBOOK_STATES = {"i": "A", "w": "rad/s", "theta": "K"}
 INPUTS = {"v": "V", "load": "N*m", "ambient": "K", "t": "s"}
-# A book, a paper, a standard or a report that a library finds.
-CITATION = re.compile(
-    r"doi:10\.\d{4,}/\S+|ISBN \d{3}-[\d-]{9,}\d|arXiv:\d{4}\.\d{4,5}|NASA TN [A-Z]-\d+|(?:IEC|ISO|IEEE Std) \d[\d-]+"
-)
 
 Point = tuple[Any, Any]
 # Effects that an energy balance of their own terms alone does not bind: why, and what binds them instead at a point.

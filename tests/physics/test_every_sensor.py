@@ -1,0 +1,186 @@
+"""What every sensor model keeps, on every channel, and each against a closed form."""
+
+import doctest
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pint
+import pytest
+import sympy
+from helpers.effect_contract import PLATES
+
+from motorlens_physics.describe import CITATION
+from motorlens_physics.scenario import scenarios
+from motorlens_physics.sensor_model import CHANNELS, UNIT_OF_CHANNEL, sensor_catalogue, sensor_models
+from motorlens_physics.sensors.clipping import SensorClipping
+from motorlens_physics.sensors.dead import SensorDead
+from motorlens_physics.sensors.gain import SensorGain
+from motorlens_physics.sensors.lag import SensorLag
+from motorlens_physics.sensors.noise import SensorNoise
+from motorlens_physics.sensors.offset import SensorOffset
+from motorlens_physics.sensors.quantisation import SensorQuantisation
+
+MODELS = sensor_models()
+FAULTS = sensor_catalogue()
+TIME = np.cumsum(np.random.default_rng(1).uniform(0.002, 0.02, 500))
+TRUE = 3.0 * np.sin(4 * TIME) + 2.0
+
+
+def rng():
+    return np.random.default_rng(5)
+
+
+def test_every_fault_of_the_design_is_there_on_every_channel():
+    assert set(FAULTS) == {f"{c}_sensor_{kind}" for c in CHANNELS for kind in ("gain", "offset", "lag")}
+    kinds = ("gain", "offset", "lag", "noise", "quantisation", "clipping", "dead")
+    assert set(MODELS) == {f"{c}_sensor_{kind}" for c in CHANNELS for kind in kinds}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_shape(name):
+    model = MODELS[name]
+    assert model.name() == name
+    assert sum(p.null is not None for p in model.parameters().values()) == (1 if name in FAULTS else 0)
+    for p in model.parameters().values():
+        assert len(p.description) > 3 and p.bounds[0] <= p.default <= p.bounds[1] and p.prior > 0
+        assert p.fixed == (name not in FAULTS)
+        for rated in PLATES:
+            assert p.bounds[0] <= p.typical(rated) <= p.bounds[1]
+    assert CITATION.search(type(model).__doc__ or "")
+    assert bool(model.excited_by) == (name in FAULTS) and set(model.excited_by) <= set(scenarios())
+
+
+@pytest.mark.parametrize(
+    "kind", [SensorGain, SensorOffset, SensorLag, SensorNoise, SensorQuantisation, SensorClipping, SensorDead]
+)
+def test_the_number_worked_by_hand(kind):
+    (example,) = doctest.DocTestFinder(recurse=False).find(
+        kind, globs=dict(vars(sys.modules[kind.__module__])) | {"np": np}
+    )
+    result = doctest.DocTestRunner(verbose=False).run(example, out=lambda text: None)
+    assert result.failed == 0 and result.attempted > 0
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_units_are_those_of_the_channel(name):
+    model, registry = MODELS[name], pint.get_application_registry()
+    unit = UNIT_OF_CHANNEL[model.channel]
+    for p in model.parameters().values():
+        registry.Unit(p.unit)
+        assert p.unit != "channel" and p.of != "channel"
+    if name in FAULTS:
+        typical = model.typical(PLATES[0])
+        with_units: dict[str, Any] = {
+            n: registry.Quantity(getattr(typical, n), p.unit) for n, p in model.parameters().items()
+        }
+        y, rate = registry.Quantity(3.0, unit), registry.Quantity(7.0, f"({unit})/s")
+        for method in ("read", "unread"):
+            shown = getattr(replace(model, **with_units), method)(y, rate)
+            assert shown.to(unit).magnitude == pytest.approx(getattr(typical, method)(3.0, 7.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_at_null_it_shows_the_truth_to_the_last_bit(name):
+    for rated in PLATES:
+        null = FAULTS[name].at_null(rated)
+        for shown in (
+            null.read(TRUE, np.cos(TIME)),
+            null.unread(TRUE, np.cos(TIME)),
+            null.record(TIME, TRUE, rng()),
+        ):
+            np.testing.assert_array_equal(shown, TRUE)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_typical_faults_show_and_do_not_drown(name):
+    for rated in PLATES:
+        fault = FAULTS[name].typical(rated)
+        scale = rated.scale(fault.parameters().get("offset", fault.switch()).of) if "offset" in name else 1.0
+        # Slow against the channel's lag: some 50 time constants a radian.
+        time = 50 * TIME * (fault.tau if "lag" in name else 1.0)
+        y = scale * (1 + 0.5 * np.sin(time / (50 * fault.tau) if "lag" in name else time))
+        error = np.max(np.abs(fault.record(time, y, rng()) - y)) / scale
+        assert 1e-3 < error < 0.2
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_what_is_read_is_unread(name):
+    fault = FAULTS[name].typical(PLATES[0])
+    if "lag" not in name:
+        np.testing.assert_allclose(fault.unread(fault.read(TRUE, 0.0), 0.0), TRUE, rtol=1e-13, atol=1e-14)
+        return
+    # A lag shows y' of its own: unread(s, s') = y exactly for the exponential approach s = 1 - exp(-t / tau) to y = 1.
+    approach = 1 - np.exp(-TIME / fault.tau)
+    np.testing.assert_allclose(fault.unread(approach, np.exp(-TIME / fault.tau) / fault.tau), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_symbols_give_smooth_reading(name):
+    fault = FAULTS[name]
+    on_symbols: dict[str, Any] = {n: sympy.Symbol(n) for n in fault.parameters()}
+    y, rate = sympy.symbols("y rate", real=True)
+    switch = fault.switch()
+    slope = sympy.diff(replace(fault, **on_symbols).read(y, rate), on_symbols[switch.name])
+    assert slope.subs({y: 3, rate: 7}) == {"gain": 3, "offset": 1, "lag": -7}[fault.kind]
+
+
+def test_a_lag_follows_a_ramp_and_a_step_as_the_closed_form_says():
+    lag = SensorLag("speed", tau=0.3)
+    start = TIME[0]
+    ramp = 5.0 * (TIME - start)
+    expected = ramp - 5.0 * 0.3 * (1 - np.exp(-(TIME - start) / 0.3))
+    np.testing.assert_allclose(lag.record(TIME, ramp, rng()), expected, atol=1e-12)
+    # A step between two samples is a ramp between them.
+    step = np.where(np.arange(500) < 100, 0.0, 1.0)
+    dt = TIME[100] - TIME[99]
+    ramped = 1 - 0.3 / dt * (1 - np.exp(-dt / 0.3))
+    after = TIME[100:] - TIME[100]
+    np.testing.assert_allclose(
+        lag.record(TIME, step, rng())[100:], 1 - (1 - ramped) * np.exp(-after / 0.3), atol=1e-12
+    )
+
+
+def test_a_lag_takes_any_step_over_its_time_constant():
+    for tau in (1e-9, 1e-4, 1.0, 1e4):
+        shown = SensorLag("speed", tau=tau).record(TIME, TRUE, rng())
+        assert np.isfinite(shown).all() and np.max(np.abs(shown - TRUE)) < np.ptp(TRUE) + 1e-9
+    np.testing.assert_allclose(SensorLag("speed", tau=1e-9).record(TIME, TRUE, rng()), TRUE, atol=1e-6)
+
+
+def test_first_order_of_a_small_lag_is_the_pointwise_reading():
+    """`read` is the derivative at null that a diagnosis uses: the error falls with tau squared."""
+
+    def error(tau):
+        lag = SensorLag("speed", tau=tau)
+        fine = np.linspace(0, 3, 60_001)
+        exact = lag.record(fine, np.sin(4 * fine), rng())
+        return np.max(np.abs(exact - lag.read(np.sin(4 * fine), 4 * np.cos(4 * fine)))[fine > 1])
+
+    assert 3.9 < error(0.02) / error(0.01) < 4.1
+
+
+def test_noise_has_its_standard_deviation_and_no_memory():
+    shown = SensorNoise("current", sd=0.25).record(np.arange(40_000.0), np.zeros(40_000), rng())
+    assert 0.245 < np.std(shown) < 0.255
+    assert abs(np.corrcoef(shown[1:], shown[:-1])[0, 1]) < 0.02
+
+
+def test_quantisation_error_is_uniform_within_half_a_step():
+    y = np.random.default_rng(2).normal(0, 10, 20_000)
+    shown = SensorQuantisation("voltage", step=0.5).record(np.arange(20_000.0), y, rng())
+    np.testing.assert_allclose(shown / 0.5, np.round(shown / 0.5))
+    assert np.max(np.abs(shown - y)) <= 0.25
+    assert np.std(shown - y) == pytest.approx(0.5 / np.sqrt(12), rel=0.02)
+
+
+def test_clipping_and_death_leave_the_rest_alone():
+    y = np.linspace(-3, 3, 61)
+    time = np.arange(61.0)
+    clipped = SensorClipping("current", limit=2.0).record(time, y, rng())
+    np.testing.assert_array_equal(clipped[np.abs(y) <= 2], y[np.abs(y) <= 2])
+    assert set(clipped[np.abs(y) > 2]) == {-2.0, 2.0}
+    dead = SensorDead("current", after=30.0, shows=0.7).record(time, y, rng())
+    np.testing.assert_array_equal(dead[:30], y[:30])
+    assert set(dead[30:]) == {0.7}
