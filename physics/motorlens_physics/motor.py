@@ -32,7 +32,7 @@ class Motor:
         prior=0.3,
         of="voltage/current",
     )
-    L: float = param(0.034, "H", "armature inductance", bounds=(0.0, 10.0), prior=0.02, of="voltage/current")
+    L: float = param(0.034, "H", "armature inductance", bounds=(0.0, 10.0), prior=0.001, of="voltage/current")
     ke: float = param(
         0.9346, "V*s/rad", "back-EMF and torque constant", bounds=(1e-6, 1e3), prior=0.9, of="voltage/speed"
     )

@@ -17,11 +17,12 @@ gain = { value = 1.02, unit = "1" }
 """
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor import Motor
@@ -109,31 +110,29 @@ def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ())
     _known(document, _TOP, where, "")
     if document.get("schema") != SCHEMA:
         raise ModelError(f"{where}: schema is {document.get('schema')!r}, expected {SCHEMA!r}")
-    rated = document.get("rated", {})
-    _known(rated, tuple(Rated.__dataclass_fields__), where, "rated")
-    try:
-        plate = Rated(**rated)
-    except TypeError as error:
-        missing = str(error).partition(": ")[2] or str(error)
-        raise ModelError(f"{where}: [rated] lacks {missing}") from None
     known: dict[str, Knowledge] = {}
-    table = document.get("parameters", {})
-    absent = [name for name in parameters(Motor) if name not in table]
+    values = _values(_table(document, "parameters", where), parameters(Motor), where, "", known)
+    absent = [name for name in parameters(Motor) if name not in values]
     if absent:
         raise ModelError(f"{where}: [parameters] lacks {', '.join(absent)}")
-    motor = Motor(**_values(table, parameters(Motor), where, "", known))
+    motor = Motor(**values)
+    plate = _plate(_table(document, "rated", where), where)
     available = catalogue() | {effect.name(): effect for effect in effects_from}
-    parts = document.get("effects", {})
+    parts = _table(document, "effects", where)
     _known(parts, tuple(available), where, "effects")
-    for name, entries in parts.items():
+    for name in parts:
         effect = available[name]
+        entries = _table(parts, name, where)
         motor = motor.with_effect(effect(**_values(entries, effect.parameters(), where, name, known)))
     models = sensor_models()
-    faults = document.get("sensors", {})
+    faults = _table(document, "sensors", where)
     _known(faults, tuple(models), where, "sensors")
     sensors = tuple(
-        replace(models[name], **_values(entries, models[name].parameters(), where, name, known))
-        for name, entries in faults.items()
+        replace(
+            models[name],
+            **_values(_table(faults, name, where), models[name].parameters(), where, name, known),
+        )
+        for name in faults
     )
     name = str(document.get("name", Path(path).stem))
     return MotorFile(name, motor, plate, sensors, known, str(document.get("description", "")), text)
@@ -187,6 +186,31 @@ def _update(table: Any, key: str, value: Any) -> None:
         table[key] = value
 
 
+def _table(parent: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    table = parent.get(key, {})
+    if not isinstance(table, Mapping):
+        raise ModelError(
+            f"{where}: {key} is not a table but {table!r}; parameters are written NAME = {{ value = ... }}"
+        )
+    return table
+
+
+def _plate(table: Mapping[str, Any], where: str) -> Rated:
+    _known(table, tuple(Rated.__dataclass_fields__), where, "rated")
+    absent = [f.name for f in fields(Rated) if f.default is MISSING and f.name not in table]
+    if absent:
+        raise ModelError(f"{where}: [rated] lacks {', '.join(absent)}")
+    for name, value in table.items():
+        # Only a temperature in degC may be zero or below.
+        if not _number(value) or (value <= 0 and name != "ambient_C"):
+            raise ModelError(f"{where}: [rated] {name} = {value!r} is not a positive number")
+    return Rated(**{name: float(value) for name, value in table.items()})
+
+
+def _number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
 def _known(table: Mapping[str, Any], known: tuple[str, ...], where: str, section: str) -> None:
     for key in table:
         if key not in known:
@@ -209,17 +233,23 @@ def _values(
         what = declared[name]
         entry = entry if isinstance(entry, Mapping) else {"value": entry}
         _known(entry, _ENTRY, where, f"{section}.{name}")
-        value = entry.get("value")
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            raise ModelError(f"{where}: [{section}] {name} has no number as its value")
+        value, sd = entry.get("value"), entry.get("sd")
+        if not _number(value):
+            raise ModelError(f"{where}: [{section}] {name} has no number as its value but {value!r}")
         if entry.get("unit", what.unit) != what.unit:
             raise ModelError(f"{where}: [{section}] {name} is in {entry['unit']!r}, expected {what.unit!r}")
         if not what.bounds[0] <= value <= what.bounds[1]:
+            low, high = what.bounds
             raise ModelError(
-                f"{where}: [{section}] {name} = {value:g} is outside {what.bounds[0]:g} to {what.bounds[1]:g} {what.unit}"
+                f"{where}: [{section}] {name} = {value:g} is outside {low:g} to {high:g} {what.unit}"
+            )
+        if sd is not None and (not _number(sd) or sd < 0):
+            raise ModelError(
+                f"{where}: [{section}] sd of {name} is {sd!r}, expected a number in {what.unit}, 0 or more"
             )
         values[name] = float(value)
-        known[f"{owner}.{name}" if owner else name] = Knowledge(entry.get("sd"), str(entry.get("source", "")))
+        key = f"{owner}.{name}" if owner else name
+        known[key] = Knowledge(None if sd is None else float(sd), str(entry.get("source", "")))
     return values
 
 
