@@ -1,0 +1,55 @@
+"""A virtual sensor in training form: feature bank, network and uncertainty, before it is written to a file."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motorlens_train.cascade import Network, dense, forward
+from motorlens_train.posterior import LastLayer
+from motorlens_train.scaling import Scaling
+from motorlens_train.specification import Array, Bank, Specification
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Everything the exported graphs hold.
+
+    Attributes:
+        name: of the sensor.
+        specification: signals, features, outputs, envelope.
+        network: on scaled features and outputs.
+        inputs: scaling of the features.
+        targets: scaling of the outputs.
+        posterior: last-layer posterior of the function.
+        noise: weights `[K, Z]` of the logarithm of each output's remaining variance (scaled), on what the output
+            layer reads.
+    """
+
+    name: str
+    specification: Specification
+    network: Network
+    inputs: Scaling
+    targets: Scaling
+    posterior: LastLayer
+    noise: Tensor
+
+    @property
+    def bank(self) -> Bank:
+        """Signals, filters and features."""
+        return self.specification.bank
+
+    def evaluate(self, features: Array) -> tuple[Array, Array]:
+        """Estimate and sigma `[N, K]` for features `[N, F]`, in float64."""
+        read = self.read(features)
+        mean = self.targets.restore(read @ self.network.output.T)
+        variance = self.posterior.variance(read) + (read @ self.noise.T).clamp(-25.0, 10.0).exp()
+        return mean.numpy(), (variance.sqrt() * self.targets.deviation).numpy()
+
+    def read(self, features: Array) -> Tensor:
+        """What the output layer reads, `[N, Z]`, its first column the constant."""
+        architecture = self.network.architecture
+        scaled = self.inputs.scale(torch.from_numpy(np.ascontiguousarray(features, dtype=np.float64)))
+        z = forward(architecture, dense(architecture, self.network.hidden), scaled.T)
+        return z[architecture.output_reads].T

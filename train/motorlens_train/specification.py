@@ -1,0 +1,138 @@
+"""What is computed before the network: `motorlens.spec` of docs/sensor-file.md, from the side that writes it."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Output:
+    """A promised quantity, its unit and the size by which its errors are judged."""
+
+    name: str
+    unit: str
+    scale: float
+
+
+@dataclass(frozen=True)
+class Filter:
+    """First-order low-pass of a signal."""
+
+    signal: str
+    tau_s: float
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One input of the network, as the difference of two quantities.
+
+    Attributes:
+        kind: "raw" (a signal), "lowpass" (a filter), "difference" (signal less filter) or "between" (filter less filter).
+        signal: of raw and difference.
+        filters: indices of the filters that take part.
+    """
+
+    kind: str
+    signal: str = ""
+    filters: tuple[int, ...] = ()
+
+    def document(self) -> dict[str, object]:
+        """As the specification writes it."""
+        match self.kind:
+            case "raw":
+                return {"kind": "raw", "signal": self.signal}
+            case "lowpass":
+                return {"kind": "lowpass", "filter": self.filters[0]}
+            case "difference":
+                return {"kind": "difference", "signal": self.signal, "filter": self.filters[0]}
+            case _:
+                return {"kind": "between", "filters": list(self.filters)}
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Where the sensor was trained: ranges of its inputs, and the cloud of its features.
+
+    Attributes:
+        voltage_V, current_A: lowest and highest value.
+        mean: `[F]` mean of the features.
+        precision_cholesky: `[F, F]` lower triangular C with C C^T the inverse covariance.
+        limit: largest `|C^T (x - mean)|^2` that counts as inside.
+    """
+
+    voltage_V: tuple[float, float]
+    current_A: tuple[float, float]
+    mean: Array
+    precision_cholesky: Array
+    limit: float
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Sample rates in hertz."""
+
+    nominal: float
+    minimum: float
+    maximum: float
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Signals, filters and features of a sensor; `ambient` says whether the ambient temperature is an input."""
+
+    resistance_ohm: float
+    inductance_H: float
+    filters: tuple[Filter, ...]
+    features: tuple[Feature, ...]
+    ambient: bool = False
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of all signals that filters and features use, each once, in order of first use."""
+        used = [f.signal for f in self.filters] + [f.signal for f in self.features if f.signal]
+        return tuple(dict.fromkeys(used))
+
+
+@dataclass(frozen=True)
+class Specification:
+    """All of `motorlens.spec`."""
+
+    outputs: tuple[Output, ...]
+    bank: Bank
+    rate: Rate
+    warm_up_s: float
+    envelope: Envelope
+
+    def document(self) -> dict[str, object]:
+        """The JSON document; see docs/sensor-file.md."""
+        bank, envelope = self.bank, self.envelope
+        return {
+            "schema": "motorlens.spec/1",
+            "outputs": [asdict(output) for output in self.outputs],
+            "inputs": ["voltage", "current", *(["ambient"] if bank.ambient else [])],
+            "resistance_ohm": bank.resistance_ohm,
+            "inductance_H": bank.inductance_H,
+            "filters": [asdict(f) for f in bank.filters],
+            "features": [f.document() for f in bank.features],
+            "sample_rate_Hz": asdict(self.rate),
+            "warm_up_s": self.warm_up_s,
+            "envelope": {
+                "voltage_V": list(envelope.voltage_V),
+                "current_A": list(envelope.current_A),
+                "features": {
+                    "mean": _rounded(envelope.mean),
+                    "precision_cholesky": _rounded(envelope.precision_cholesky),
+                    "limit": envelope.limit,
+                },
+            },
+        }
+
+
+def _rounded(values: Array) -> list[object]:
+    """Seven digits: the envelope is a fence, and the file is to stay small."""
+    if values.ndim == 2:
+        return [_rounded(row) for row in values]
+    return [float(f"{value:.7g}") for value in values]
