@@ -1,0 +1,273 @@
+"""Everything that may be missing, as forcings of the balances along the trajectory of the present model.
+
+An effect enters the linearised problem as what it would add to the three balances, per typical size, evaluated on the
+trajectory by the effect's own methods (a secant from null to typical, so that effects whose first order vanishes, such as a
+housing node, are seen). Effects with a state of their own have it integrated along. Shapes that are not known are tried on
+a small grid. Sensor faults, free curves and decoys stand in the same list.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numba
+import numpy as np
+from motorlens_physics.effect import Effect, catalogue
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
+from motorlens_physics.simulation import Trajectory
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EQUATIONS = {"voltage": "electrical", "torque": "mechanical", "heat": "thermal"}
+UNITS = {"voltage": "V", "torque": "N*m", "heat": "W"}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One thing that may be missing.
+
+    Attributes:
+        name: in the catalogue.
+        kind: "effect" or "sensor".
+        equation: "electrical", "mechanical", "thermal", "coupling", or the channel of a sensor.
+        variants: the shapes tried; each is one or several columns fitted together (a sine and a cosine).
+    """
+
+    name: str
+    kind: str
+    equation: str
+    variants: tuple[tuple[Effect | SensorModel, ...], ...]
+
+    def columns(self) -> list[list[str]]:
+        """Names of the columns, per variant."""
+        return [[f"{self.name}#{v}.{k}" for k in range(len(parts))] for v, parts in enumerate(self.variants)]
+
+    @property
+    def switch(self) -> str:
+        """The parameter that is its size."""
+        what = self.variants[0][0].switch()
+        assert what is not None
+        return what.name
+
+    def typical(self, file: MotorFile) -> float:
+        """Typical size of the switch, away from its null."""
+        what = self.variants[0][0].switch()
+        assert what is not None and what.null is not None
+        return what.typical(file.rated) - what.null
+
+
+def candidates(file: MotorFile, channels: Sequence[str], inputs: Sequence[str], own: Sequence[type[Effect]] = ()) -> list[Candidate]:
+    """All effects the motor lacks, and all faults of the sensors that were recorded, one list.
+
+    Args:
+        file: the motor.
+        channels: outputs measured in at least one run.
+        inputs: inputs measured, "voltage" among them.
+        own: effects from outside the catalogue.
+    """
+    present = {part.name() for part in (*file.motor.effects, *file.sensors)}
+    found = []
+    for effect in (*catalogue().values(), *own):
+        if effect.name() in present:
+            continue
+        variants = tuple(shapes(effect, file))
+        found.append(Candidate(effect.name(), "effect", _equation(effect), variants))
+    for name, sensor in sensor_catalogue().items():
+        if name not in present and sensor.channel in (*channels, *inputs):
+            found.append(Candidate(name, "sensor", sensor.channel, ((sensor.typical(file.rated),),)))
+    return found
+
+
+def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]]:
+    """The typical effect with its unknown shapes on a grid."""
+    typical = effect.typical(file.rated)
+    free = [p for p in effect.parameters().values() if p.null is None and not p.fixed]
+    if not free:
+        yield (typical,)
+        return
+    if "phi" in effect.states and any(p.name == "p" for p in free):
+        # A phase is a sine and a cosine; the number of detents a revolution is tried.
+        counts = (4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 16, 18, 20, 24) if "N" in effect.parameters() else (None,)
+        for count in counts:
+            with_count = typical if count is None else replace(typical, N=float(count))
+            yield tuple(replace(with_count, p=phase) for phase in (0.0, np.pi / 2))
+        return
+    grids = {p.name: [f * p.typical(file.rated) for f in (0.3, 1.0, 3.0)] for p in free}
+    if len(free) == 1:
+        for value in grids[free[0].name]:
+            yield (replace(typical, **{free[0].name: _within(free[0].bounds, value)}),)
+        return
+    for scale in (0.2, 1.0, 5.0):
+        for last in (0.3, 1.0, 3.0):
+            values = {p.name: p.typical(file.rated) * (last if p is free[-1] else scale) for p in free}
+            yield (replace(typical, **{p.name: _within(p.bounds, values[p.name]) for p in free}),)
+
+
+def _within(bounds: tuple[float, float], value: float) -> float:
+    return min(max(value, bounds[0]), bounds[1])
+
+
+def _equation(effect: type[Effect]) -> str:
+    defines = [b for b in ("voltage", "torque", "heat", "inductance") if getattr(effect, b) is not getattr(Effect, b)]
+    if "voltage" in defines and "torque" in defines:
+        return "coupling"
+    return EQUATIONS["voltage" if defines[0] == "inductance" else defines[0]]
+
+
+@dataclass(frozen=True)
+class Forcing:
+    """What is added to the three balances, (N,) each: V, N m, W."""
+
+    voltage: Array
+    torque: Array
+    heat: Array
+
+
+def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
+    """What an effect at its present size would add along a trajectory, less what it adds at null."""
+    motor = trajectory.motor
+    switch = effect.switch()
+    null = replace(effect, **{switch.name: switch.null})
+    u = inputs_at(trajectory)
+    full_x, null_x = (_states(one, trajectory, u) for one in (effect, null))
+    rows = len(u.t)
+    parts = {
+        name: _array(getattr(effect, name)(motor, full_x, u), rows) - _array(getattr(null, name)(motor, null_x, u), rows)
+        for name in ("voltage", "torque", "heat", "inductance")
+    }
+    if parts["inductance"].any():
+        slope = _array(motor.balances(null_x, u)[0], rows) / np.maximum(_array(motor.inductance(null_x, u), rows), 1e-12)
+        parts["voltage"] = parts["voltage"] - parts["inductance"] * slope
+    return Forcing(parts["voltage"], parts["torque"], parts["heat"])
+
+
+def inputs_at(trajectory: Trajectory) -> Any:
+    """The inputs as effects read them."""
+    i = trajectory.inputs
+    return SimpleNamespace(v=i.voltage_V, load=i.load_torque_Nm, ambient=i.ambient_C, t=i.time_s)
+
+
+def _states(effect: Effect, trajectory: Trajectory, u: Any) -> Any:
+    x = SimpleNamespace(**trajectory.states)
+    for name in effect.states:
+        if name in trajectory.states:
+            continue
+        # The state's equation is affine in itself: ds/dt = a s + b.
+        rows = len(u.t)
+        setattr(x, name, np.zeros(rows))
+        b = _array(effect.rates(trajectory.motor, x, u)[name], rows)
+        setattr(x, name, np.ones(rows))
+        a = _array(effect.rates(trajectory.motor, x, u)[name], rows) - b
+        # What warms with the winding starts as warm as the winding.
+        first = float(trajectory.states["theta"][0]) if name.startswith("theta") else effect.states[name].initial
+        setattr(x, name, _integrate(u.t, a, b, first))
+    return x
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _integrate(time, a, b, first):  # type: ignore[no-untyped-def]
+    s = np.empty(len(time))
+    s[0] = first
+    for k in range(len(time) - 1):
+        dt = time[k + 1] - time[k]
+        rate, drive = 0.5 * (a[k] + a[k + 1]), 0.5 * (b[k] + b[k + 1])
+        z = rate * dt
+        s[k + 1] = s[k] * np.exp(z) + drive * (np.expm1(z) / rate if abs(z) > 1e-12 else dt)
+    return s
+
+
+def _array(value: Any, rows: int) -> Array:
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), (rows,))
+
+
+# ---- free curves ----
+
+# Against what, and with how many knots: finer than the bumps that a coarse curve would miss.
+KNOTS = {"speed": 18, "current": 12, "temperature": 8, "time": 12}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A free curve in one equation: hat functions of one variable.
+
+    Attributes:
+        balance: "voltage", "torque" or "heat".
+        against: "speed", "current", "temperature", "time" or "angle".
+        knots: (k,) in the variable's unit.
+    """
+
+    balance: str
+    against: str
+    knots: Array
+
+    def columns(self) -> list[str]:
+        """Names of the columns."""
+        return [f"curve.{self.balance}.{self.against}.{k}" for k in range(len(self.knots))]
+
+    def hats(self, z: Array) -> Array:
+        """(N, k) hat functions, which sum to one between the outer knots; constant beyond."""
+        clipped = np.clip(z, self.knots[0], self.knots[-1])
+        out = np.zeros((len(z), len(self.knots)))
+        right = np.clip(np.searchsorted(self.knots, clipped, side="right"), 1, len(self.knots) - 1)
+        share = (clipped - self.knots[right - 1]) / (self.knots[right] - self.knots[right - 1])
+        rows = np.arange(len(z))
+        out[rows, right - 1] = 1 - share
+        out[rows, right] += share
+        return out
+
+
+def knots_of(samples: Array, count: int) -> Array | None:
+    """Knots over the range that the samples visit: between even spacing and equal populations; None if it hardly varies."""
+    low, high = np.quantile(samples, [0.002, 0.998])
+    if not high - low > 1e-6 * max(abs(low), abs(high), 1e-12):
+        return None
+    even = np.linspace(low, high, count)
+    ranked = np.quantile(samples, np.linspace(0.002, 0.998, count))
+    knots = np.unique(0.5 * (even + ranked))
+    return knots if len(knots) >= 4 else None
+
+
+def variables(trajectory: Trajectory) -> dict[str, Array]:
+    """What curves are drawn against, (N,) each."""
+    return {
+        "speed": trajectory.speed_rad_s,
+        "current": trajectory.current_A,
+        "temperature": trajectory.rise_K,
+        "time": trajectory.inputs.time_s,
+    }
+
+
+def curves(trajectories: Sequence[Trajectory], balances: Sequence[str]) -> list[Curve]:
+    """Free curves of every balance against every variable that varies."""
+    found = []
+    for against, count in KNOTS.items():
+        samples = np.concatenate([variables(t)[against] for t in trajectories])
+        knots = knots_of(samples, count)
+        if knots is None:
+            continue
+        if against == "speed":
+            # Friction turns its sign at rest: a knot on either side of zero.
+            near = 0.02 * np.max(np.abs(knots))
+            if knots[0] < -near and knots[-1] > near:
+                knots = np.unique(np.concatenate([knots[np.abs(knots) > 2 * near], [-near, 0.0, near]]))
+        found += [Curve(balance, against, knots) for balance in balances]
+    return found
+
+
+def decoys(trajectory: Trajectory) -> Mapping[str, Forcing]:
+    """Forcings of no physical meaning with the colour of real ones: mirrored in time. None of them may ever be accepted."""
+    still = np.zeros(len(trajectory.inputs.time_s))
+    w, i = trajectory.speed_rad_s, trajectory.current_A
+    wide = max(float(np.max(np.abs(w))), 1e-9)
+    mirrored = {
+        "sign": np.tanh(w / (0.01 * wide))[::-1], "square": (w * np.abs(w) / wide)[::-1], "current": np.abs(i)[::-1],
+    }  # fmt: skip
+    found = {}
+    for name, shape in mirrored.items():
+        found[f"decoy.voltage.{name}"] = Forcing(shape, still, still)
+        found[f"decoy.torque.{name}"] = Forcing(still, shape, still)
+        found[f"decoy.heat.{name}"] = Forcing(still, still, shape**2)
+    return found

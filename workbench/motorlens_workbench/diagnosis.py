@@ -1,0 +1,276 @@
+"""What is missing from a model: the whole diagnosis, from prepared recordings to a verdict in words and figures.
+
+Base fit; noise from the residual that nothing explains; a screen of all effects and sensor faults in one pass; refits of
+the best and its rivals; again from there, up to three effects; then the question whether it really is that effect.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from motorlens_physics.effect import Effect
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.recording import Recording
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import ModelError
+from motorlens_workbench.candidates import Candidate, Curve, candidates, curves
+from motorlens_workbench.evidence import Evidence, curve_gain, score
+from motorlens_workbench.fitting import Fit, base_prior, fit, noise_of, plain_noise, squares, start_model
+from motorlens_workbench.model import Model, predict
+from motorlens_workbench.run import Run, prepare
+from motorlens_workbench.screen import Columns, Line, all_columns, evidence_of, saturated, with_priors
+from motorlens_workbench.selection import REAL, WORTH, Progress, Test, likeness, refit, rivals, test_all, total
+
+Array = NDArray[np.float64]
+
+MOST = 3
+BALANCES = ("voltage", "torque", "heat")
+
+
+@dataclass(frozen=True)
+class Bend:
+    """A free curve against what is left: how much it would explain.
+
+    Attributes:
+        curve: the curve.
+        gain: fall of the whitened sum of squares beyond chance.
+        deviations: how many standard deviations that is.
+        knots: (k,) those of its knots that the data know.
+        value: (k,) the curve there, in the unit of its balance.
+        sd: (k,) its standard deviation.
+    """
+
+    curve: Curve
+    gain: float
+    deviations: float
+    knots: Array
+    value: Array
+    sd: Array
+
+
+@dataclass(frozen=True)
+class Look:
+    """The screen from one model.
+
+    Attributes:
+        found: the fit it was taken from, with the noise of this screen.
+        evidence: all columns.
+        left: what the fitted parameters leave.
+        tests: every candidate.
+        bends: every free curve, the strongest first.
+        decoy: the best statistic that a decoy reaches.
+        noise: (C,) per run, standard deviation of what nothing explains.
+        columns: unwhitened, per run.
+        lines: the linearised problem, per run.
+    """
+
+    found: Fit
+    evidence: Evidence
+    left: Evidence
+    tests: dict[str, Test]
+    bends: list[Bend]
+    decoy: float
+    noise: tuple[Array, ...]
+    columns: list[Columns]
+    lines: list[Line]
+
+    @property
+    def samples(self) -> float:
+        """How many whitened samples there are."""
+        return float(self.evidence.samples.sum()) * len(self.found.residuals[0][0])
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect accepted.
+
+    Attributes:
+        test: the screen's test of it.
+        found: the fit with it.
+        gain: fall of the whitened sum of squares, as refitted.
+        losses: how much worse each other candidate would be in its place, over the inflation of the winner's test;
+            0 for the winner itself.
+        alike: squared correlation with each other candidate.
+        refits: fits with the rivals that were refitted.
+    """
+
+    test: Test
+    found: Fit
+    gain: float
+    losses: dict[str, float]
+    alike: dict[str, float]
+    refits: dict[str, Fit] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """All that the diagnosis found out, before it is put in words.
+
+    Attributes:
+        runs: prepared recordings.
+        base: the fit without any candidate.
+        first: the screen from it.
+        steps: effects accepted, in order.
+        last: the screen from the final model.
+        failed: candidates whose refit did not do what the screen promised.
+    """
+
+    runs: tuple[Run, ...]
+    base: Fit
+    first: Look
+    steps: tuple[Step, ...]
+    last: Look
+    failed: tuple[str, ...]
+
+
+def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> Look:
+    """Screen everything from a fitted model."""
+    outputs = sorted({channel for run in runs for channel in run.channels})
+    inputs = ("voltage", *sorted({q for run in runs for q in run.known}))
+    listed = candidates(found.model.file, outputs, inputs, own)
+    trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
+    free = curves(trajectories, BALANCES)
+    columns, lines = all_columns(found, runs, listed, free)
+    unexplained, spent = saturated(columns, runs, plain_noise(found.residuals, runs))
+    whiteners = noise_of(unexplained, runs, spent)
+    evidence = with_priors(evidence_of(columns, runs, whiteners), found)
+    found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
+    left = evidence.given(found.prior.keys)
+    tests = test_all(left, listed, found.model)
+    decoy = 0.0
+    for name in left.names:
+        if name.startswith("decoy."):
+            tested = score(left, [name])
+            decoy = max(decoy, tested.statistic if tested else 0.0)
+    noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(unexplained, runs, strict=True))
+    return Look(found, evidence, left, tests, bends_of(left, free), decoy, noise, columns, lines)
+
+
+def bends_of(left: Evidence, free: Sequence[Curve]) -> list[Bend]:
+    """Every free curve against what is left, the strongest first."""
+    found = []
+    for curve in free:
+        gain, deviations, tested = curve_gain(left, curve.columns())
+        if tested is None:
+            continue
+        at = [int(name.rpartition(".")[2]) for name in tested.names]
+        spread = np.sqrt(np.maximum(np.diagonal(tested.covariance), 0))
+        found.append(Bend(curve, gain, deviations, curve.knots[at], tested.coefficient, spread))
+    return sorted(found, key=lambda bend: -bend.gain)
+
+
+def investigate(
+    file: MotorFile,
+    recordings: Sequence[Recording],
+    own: Sequence[type[Effect]] = (),
+    say: Progress = lambda text: None,
+) -> Finding:
+    """Fit, screen, accept up to three effects.
+
+    Raises:
+        DataError: a recording that cannot be used.
+        ModelError: the model cannot be simulated at all.
+    """
+    runs = tuple(prepare(recording, file) for recording in recordings)
+    say("fitting the base parameters")
+    base, runs = base_fit(file, runs)
+    say("screening all effects and sensor faults")
+    first = current = look(base, runs, own)
+    steps: list[Step] = []
+    failed: list[str] = []
+    while len(steps) < MOST:
+        step, broken = advance(current, runs, say, failed)
+        failed += broken
+        if step is None:
+            break
+        steps.append(step)
+        say(f"screening again with {step.test.candidate.name}")
+        current = look(step.found, runs, own)
+    return Finding(runs, base, first, tuple(steps), current, tuple(failed))
+
+
+def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]]:
+    """The textbook's parameters fitted, and the runs with their inputs as they fit best.
+
+    Whether the voltage was held between samples or ran linearly, and whether what its sensor adds is noise or was truly
+    applied, is not written in a recording; the better fit decides.
+    """
+    prior = base_prior(file, runs)
+    found = fit(start_model(file, runs), runs, prior)
+    chosen, held = [], []
+    for r, run in enumerate(runs):
+        ways = [(run, h) for h in (found.model.held[r], not found.model.held[r])]
+        quiet = run.quieter()
+        ways += [(quiet, h) for _, h in ways] if quiet is not run else []
+        errors = [_error_of(found, run, one, h, r) for one, h in ways]
+        # The way as recorded stays unless another is clearly better.
+        best = int(np.argmin([errors[0] * 0.995, *errors[1:]]))
+        chosen.append(ways[best][0])
+        held.append(ways[best][1])
+    if tuple(held) != found.model.held or any(one is not run for one, run in zip(chosen, runs, strict=True)):
+        found = fit(replace(found.model, held=tuple(held)), chosen, prior)
+    return found, tuple(chosen)
+
+
+def _error_of(found: Fit, run: Run, way: Run, held: bool, r: int) -> float:
+    """Whitened sum of squares of a run with its inputs taken another way."""
+    model = replace(found.model, held=tuple(held if k == r else h for k, h in enumerate(found.model.held)))
+    try:
+        residual = way.average(way.measured - predict(model, way, r)[1])
+    except ModelError:
+        return float("inf")
+    return squares([residual], [run], [found.whiteners[r]])
+
+
+def threshold(now: Look) -> float:
+    """The statistic that counts as real in this screen."""
+    return max(REAL, 2.0 * now.decoy)
+
+
+def advance(
+    now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str]
+) -> tuple[Step | None, list[str]]:
+    """Accept the candidate that the evidence prefers, if one is real and worth having; else None and what failed."""
+    broken: list[str] = []
+    tests = {name: test for name, test in now.tests.items() if name not in avoid}
+    for _ in range(3):
+        standing = [t for t in tests.values() if t.statistic > threshold(now) and t.gain > WORTH * now.samples]
+        if not standing:
+            return None, broken
+        best = max(standing, key=lambda test: test.statistic)
+        near = rivals(now.left, tests, best)
+        refits: dict[str, Fit] = {}
+        for test in near:
+            say(f"refitting with {test.candidate.name}")
+            tried = refit(now.found, now.evidence, test, runs)
+            if tried is not None:
+                refits[test.candidate.name] = tried
+        good = {name: tried for name, tried in refits.items() if total(now.found) - total(tried) > 0.5 * tests[name].gain}
+        if good:
+            winner = min(good, key=lambda name: total(good[name]))
+            return _accept(now, tests, winner, refits), broken
+        broken += [test.candidate.name for test in near]
+        tests = {name: test for name, test in tests.items() if name not in broken}
+    return None, broken
+
+
+def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fit]) -> Step:
+    chosen = tests[winner]
+    assert chosen.score is not None
+    found = refits[winner]
+    gain = total(now.found) - total(found)
+    losses, alike = {winner: 0.0}, {}
+    for name, test in now.tests.items():
+        if name == winner or test.score is None:
+            continue
+        alike[name] = likeness(now.left, chosen, test)
+        if not test.allowed:
+            continue
+        by_screen = chosen.score.gain - test.score.gain
+        loss = total(refits[name]) - total(found) if name in refits else by_screen
+        losses[name] = max(loss, 0.0) / chosen.score.inflation
+    return Step(chosen, found, gain, losses, alike, {k: v for k, v in refits.items() if k != winner})
+
+
+__all__ = ["Bend", "Candidate", "Finding", "Line", "Look", "Model", "Step", "investigate", "look"]

@@ -1,0 +1,333 @@
+"""Fitting a model to runs: Levenberg-Marquardt on whitened residuals with what is known beforehand.
+
+Maximum a posteriori estimate of all parameters of the motor, its effects and sensors, and of the nuisances of each run,
+by simulation (output error), with the noise of every channel estimated along (`whitening`). Wide priors keep what the runs
+do not determine where the motor file has it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Parameter
+from motorlens_physics.sensor_model import RATED_OF_CHANNEL
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import ModelError
+from motorlens_workbench.model import Model, differences_of, predict, sensitivities_of
+from motorlens_workbench.run import STATE_OF, Run
+from motorlens_workbench.whitening import Whitener, fit_whitener, white
+
+Array = NDArray[np.float64]
+
+# How far from the motor file a parameter may reasonably be, relative (one standard deviation). A motor file may be rough;
+# copper is copper.
+RELATIVE_SD = {
+    "R_a0": 0.4, "L": 0.5, "ke": 0.4, "J": 0.5, "b": 1.0, "alpha": 0.1, "k0": 0.5, "kT": 1.0, "k_ir": 1.0, "H": 0.5,
+}  # fmt: skip
+# An ambient that was not recorded is a room's.
+AMBIENT_SD_K = 10.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the parameters being fitted: centre and standard deviation, and what is possible."""
+
+    centre: Mapping[str, float]
+    sd: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The parameters being fitted."""
+        return tuple(self.sd)
+
+    def joined(self, other: "Prior") -> "Prior":
+        """Both."""
+        return Prior(
+            {**self.centre, **other.centre}, {**self.sd, **other.sd}, {**self.bounds, **other.bounds}
+        )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes:
+        model: with the parameters found.
+        prior: what was known.
+        whiteners: noise of each run.
+        error: whitened sum of squares, priors excluded.
+        penalty: that of the priors.
+        covariance: (k, k) of `prior.keys`, for white noise.
+        residuals: per run (rows, C), measured less predicted, averaged rows.
+    """
+
+    model: Model
+    prior: Prior
+    whiteners: tuple[Whitener, ...]
+    error: float
+    penalty: float
+    covariance: Array
+    residuals: tuple[Array, ...]
+
+    def sd(self) -> dict[str, float]:
+        """Standard deviation of each parameter fitted."""
+        return dict(zip(self.prior.keys, np.sqrt(np.maximum(np.diagonal(self.covariance), 0)).tolist(), strict=True))
+
+
+def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
+    """The textbook's parameters and the nuisances of each run, as the motor file and the recordings leave them open."""
+    values, rated = file.values(), file.rated
+    centre: dict[str, float] = {}
+    sd: dict[str, float] = {}
+    bounds: dict[str, tuple[float, float]] = {}
+    for key, relative in RELATIVE_SD.items():
+        what = file.meaning(key)
+        size = max(abs(values[key]), 0.1 * what.typical(rated))
+        stated = file.knowledge[key].sd if key in file.knowledge else None
+        centre[key], sd[key] = values[key], max(relative * size, stated or 0.0)
+        bounds[key] = (max(what.bounds[0], 0.05 * values[key]), what.bounds[1])
+    prior = Prior(centre, sd, bounds)
+    for part in (*file.motor.effects, *file.sensors):
+        prior = prior.joined(part_prior(file, part.name()))
+    for r, run in enumerate(runs):
+        own = _nuisance_sd(file, run)
+        for name, width in own.items():
+            key = f"{name}@{r}"
+            prior.centre[key] = run.start[name[8:]] if name.startswith("initial.") else 0.0  # type: ignore[index]
+            prior.sd[key] = width  # type: ignore[index]
+            prior.bounds[key] = (-np.inf, np.inf)  # type: ignore[index]
+    return prior
+
+
+def part_prior(file: MotorFile, name: str) -> Prior:
+    """The free parameters of an effect or a sensor model of the file: wide around their value, within their bounds."""
+    part = next(part for part in (*file.motor.effects, *file.sensors) if part.name() == name)
+    centre: dict[str, float] = {}
+    sd: dict[str, float] = {}
+    bounds: dict[str, tuple[float, float]] = {}
+    for parameter, what in part.parameters().items():
+        if what.fixed:
+            continue
+        key = f"{name}.{parameter}"
+        typical = what.typical(file.rated)
+        # The switch is free; a shape is known within a factor of a few.
+        centre[key] = what.null if what.null is not None else getattr(part, parameter)
+        sd[key] = 30 * abs(typical) if what.null is not None else max(abs(centre[key]), 0.3 * abs(typical), 1e-12)
+        bounds[key] = what.bounds
+    return Prior(centre, sd, bounds)
+
+
+def _nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
+    rated = file.rated
+    own = {"initial.i": 0.3 * rated.current_A, "initial.w": 0.02 * rated.speed_rad_s, "initial.theta": 0.3 * rated.rise_K}
+    if "speed" not in run.channels:
+        own["initial.w"] = 0.1 * rated.speed_rad_s
+    if "temperature" not in run.channels:
+        own["initial.theta"] = 0.5 * rated.rise_K
+    if "load_torque" not in run.known:
+        own["load"] = 0.3 * rated.torque_Nm
+    if "ambient" not in run.known and "temperature" in run.channels:
+        own["ambient"] = AMBIENT_SD_K
+    for channel in run.channels:
+        # A converter that takes its channels one after another, a mean over the last period: half a sample.
+        if channel != "temperature":
+            own[f"skew.{channel}"] = 0.3 * run.period_s
+    return own
+
+
+def start_model(file: MotorFile, runs: Sequence[Run]) -> Model:
+    """The motor file as it is, every run starting where its first samples say."""
+    own = []
+    for run in runs:
+        names = _nuisance_sd(file, run)
+        own.append({name: run.start[name[8:]] if name.startswith("initial.") else 0.0 for name in names})
+    return Model(file, tuple(own), tuple(run.inputs.held for run in runs))
+
+
+def residuals_of(model: Model, runs: Sequence[Run]) -> tuple[Array, ...]:
+    """Measured less predicted, averaged rows, (rows, C) of each run.
+
+    Raises:
+        ModelError: a simulation cannot go on.
+    """
+    return tuple(run.average(run.measured - predict(model, run, r)[1]) for r, run in enumerate(runs))
+
+
+def squares(residuals: Sequence[Array], runs: Sequence[Run], whiteners: Sequence[Whitener]) -> float:
+    """Whitened sum of squares over all valid rows."""
+    total = 0.0
+    for residual, run, whitener in zip(residuals, runs, whiteners, strict=True):
+        z = whitener(residual)[usable(run, whitener)]
+        total += float(np.sum(z * z))
+    return total
+
+
+def usable(run: Run, whitener: Whitener) -> NDArray[np.bool_]:
+    """(rows,) rows whose sample and all lags are valid."""
+    fresh = run.fresh()
+    kept = fresh.copy()
+    for lag in range(1, whitener.order + 1):
+        kept[lag:] &= fresh[:-lag]
+    kept[: whitener.order] = False
+    return kept
+
+
+def penalty_of(values: Mapping[str, float], prior: Prior) -> float:
+    """What the priors cost."""
+    return sum(((values[key] - prior.centre[key]) / width) ** 2 for key, width in prior.sd.items())
+
+
+def noise_of(residuals: Sequence[Array], runs: Sequence[Run], used: int = 0) -> tuple[Whitener, ...]:
+    """Noise models of residuals."""
+    return tuple(
+        fit_whitener(residual, run.fresh(), run.floor, used // len(runs))
+        for residual, run in zip(residuals, runs, strict=True)
+    )
+
+
+def plain_noise(residuals: Sequence[Array], runs: Sequence[Run]) -> tuple[Whitener, ...]:
+    """White noise of the residuals' size, taken robustly: where to begin."""
+    chosen = []
+    for residual, run in zip(residuals, runs, strict=True):
+        fresh = residual[run.fresh()]
+        size = np.sqrt(np.mean(fresh**2, axis=0))
+        chosen.append(white(np.maximum(size, run.floor)))
+    return tuple(chosen)
+
+
+def fit(
+    model: Model,
+    runs: Sequence[Run],
+    prior: Prior,
+    whiteners: Sequence[Whitener] | None = None,
+    *,
+    rounds: int = 12,
+    tolerance: float = 2e-5,
+    by_differences: bool = False,
+) -> Fit:
+    """Fit the parameters that the prior names, starting from the model.
+
+    Args:
+        model: where to begin.
+        runs: prepared recordings.
+        prior: the free parameters.
+        whiteners: the noise; None: white, of the size of the residuals, updated every round.
+        rounds: at most this many Jacobians.
+        tolerance: stop when a round lowers the sum of squares by less than this share (and less than 0.1).
+        by_differences: Jacobians by differences, which spares compiling the sensitivities of a structure that is
+            only being tried.
+
+    Raises:
+        ModelError: the starting point cannot be simulated.
+    """
+    keys = prior.keys
+    residuals = residuals_of(model, runs)
+    adaptive = whiteners is None
+    noise = tuple(whiteners) if whiteners is not None else plain_noise(residuals, runs)
+    damping = 1e-3 if adaptive else 1e-6
+    gram = np.zeros((len(keys), len(keys)))
+    scale = np.array([prior.sd[key] for key in keys])
+    for _ in range(rounds):
+        values = model.values()
+        cost = squares(residuals, runs, noise) + penalty_of(values, prior)
+        gram, gradient = normal_equations(model, runs, keys, noise, residuals, prior if by_differences else None)
+        gram += np.diag(1 / scale**2)
+        gradient += np.array([(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys])
+        moved = False
+        for _ in range(8):
+            trial = _step(model, prior, keys, gram, gradient, damping)
+            try:
+                new = residuals_of(trial, runs)
+                reached = squares(new, runs, noise) + penalty_of(trial.values(), prior)
+            except ModelError:
+                reached = np.inf
+            if np.isfinite(reached) and reached < cost:
+                moved = True
+                break
+            damping = max(damping * 10, 1e-4)
+        if not moved:
+            break
+        fall = cost - reached
+        model, residuals = trial, new
+        damping = max(damping / 10, 1e-9)
+        if adaptive:
+            noise = plain_noise(residuals, runs)
+        if fall < max(tolerance * cost, 0.1):
+            break
+    inverse = _inverse(gram)
+    return Fit(
+        model, prior, noise, squares(residuals, runs, noise), penalty_of(model.values(), prior), inverse, residuals
+    )
+
+
+def normal_equations(
+    model: Model,
+    runs: Sequence[Run],
+    keys: Sequence[str],
+    whiteners: Sequence[Whitener],
+    residuals: Sequence[Array],
+    by_differences: Prior | None = None,
+) -> tuple[Array, Array]:
+    """J^T J and J^T e of whitened columns and residuals; by differences with steps taken from a prior."""
+    gram, gradient = np.zeros((len(keys), len(keys))), np.zeros(len(keys))
+    for r, (run, whitener, residual) in enumerate(zip(runs, whiteners, residuals, strict=True)):
+        mine = [k for k, key in enumerate(keys) if "@" not in key or key.endswith(f"@{r}")]
+        if by_differences is None:
+            _, _, columns = sensitivities_of(model, run, r, [keys[k] for k in mine])
+        else:
+            _, _, columns = differences_of(model, run, r, [keys[k] for k in mine], _steps(model, by_differences))
+        kept = usable(run, whitener)
+        z = whitener(run.average(columns))[kept].reshape(-1, len(mine))
+        e = whitener(residual)[kept].ravel()
+        gram[np.ix_(mine, mine)] += z.T @ z
+        gradient[mine] += z.T @ e
+    return gram, gradient
+
+
+def _steps(model: Model, prior: Prior) -> dict[str, float]:
+    """A thousandth of what is believed possible, away from the nearer bound."""
+    values = model.values()
+    steps = {}
+    for key, width in prior.sd.items():
+        step = 1e-3 * width
+        steps[key] = step if values[key] + step <= prior.bounds[key][1] else -step
+    return steps
+
+
+def _step(model: Model, prior: Prior, keys: Sequence[str], gram: Array, gradient: Array, damping: float) -> Model:
+    values = model.values()
+    at = np.array([values[key] for key in keys])
+    low = np.array([prior.bounds[key][0] for key in keys])
+    high = np.array([prior.bounds[key][1] for key in keys])
+    free = np.ones(len(keys), dtype=bool)
+    move = np.zeros(len(keys))
+    # Parameters that the step would push through their bounds stop there, and the rest is solved again.
+    for _ in range(4):
+        damped = gram + damping * np.diag(np.diagonal(gram))
+        inner = np.ix_(free, free)
+        right = gradient[free] - gram[np.ix_(free, ~free)] @ move[~free]
+        move[free] = _inverse(damped[inner]) @ right
+        beyond = free & ((at + move < low) | (at + move > high))
+        if not beyond.any():
+            break
+        move[beyond] = np.clip(at[beyond] + move[beyond], low[beyond], high[beyond]) - at[beyond]
+        free &= ~beyond
+    return model.with_values(dict(zip(keys, np.clip(at + move, low, high).tolist(), strict=True)))
+
+
+def _inverse(gram: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    values = np.maximum(values, 1e-13 * values[-1])
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+
+
+def effect_channel(file: MotorFile, name: str) -> str | None:
+    """The channel of a sensor model by name, None for an effect."""
+    return next((sensor.channel for sensor in file.sensors if sensor.name() == name), None)
+
+
+__all__ = ["RATED_OF_CHANNEL", "STATE_OF", "Fit", "Parameter", "Prior", "base_prior", "fit", "part_prior", "replace"]

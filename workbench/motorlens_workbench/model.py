@@ -1,0 +1,252 @@
+"""What a recording is compared with: a motor file, where each run started, and the run's own nuisances.
+
+`predict` runs forwards and puts the sensors in between; `sensitivities_of` gives the same for a small change of every
+parameter. A key names a parameter of the motor file ("R_a0", "coulomb_friction.tau_c", "speed_sensor_gain.gain"), or one of
+a single run, written "NAME@RUN": its initial states, and what was not measured or not synchronised.
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from motorlens_physics.effect import Effect
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.sensitivity import linearise, sensitivities
+from motorlens_physics.sensor_model import SensorModel
+from motorlens_physics.simulation import Inputs, Trajectory, cores, simulate
+from numpy.typing import NDArray
+
+from motorlens_workbench.run import STATE_OF, Run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A motor file and what belongs to each run.
+
+    Attributes:
+        file: the motor, its effects and its sensors.
+        own: per run, by name: "initial.STATE", "load" (N m, an unmeasured constant load), "ambient" (K, an unmeasured
+            ambient), "skew.CHANNEL" (s, how late a channel is sampled).
+        held: per run, whether the voltage was held between samples.
+    """
+
+    file: MotorFile
+    own: tuple[Mapping[str, float], ...]
+    held: tuple[bool, ...] = field(default=())
+
+    def values(self) -> dict[str, float]:
+        """All parameters by key."""
+        local = {f"{name}@{r}": value for r, own in enumerate(self.own) for name, value in own.items()}
+        return {**self.file.values(), **local}
+
+    def with_values(self, values: Mapping[str, float]) -> "Model":
+        """A copy with some parameters changed."""
+        shared = {key: value for key, value in values.items() if "@" not in key}
+        own = [dict(one) for one in self.own]
+        for key, value in values.items():
+            name, _, r = key.partition("@")
+            if r:
+                own[int(r)][name] = value
+        return replace(self, file=self.file.with_values(shared), own=tuple(own))
+
+
+def inputs_of(model: Model, run: Run, r: int) -> Inputs:
+    """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
+    own, shown = model.own[r], run.inputs
+    inputs = replace(
+        shown,
+        voltage_V=_unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V),
+        load_torque_Nm=_unread(model.file.sensors, "load_torque", shown.time_s, shown.load_torque_Nm)
+        + own.get("load", 0.0),
+        ambient_C=shown.ambient_C + own.get("ambient", 0.0),
+        held=model.held[r] if model.held else shown.held,
+    )
+    return inputs
+
+
+def start_of(model: Model, r: int) -> dict[str, float]:
+    """The initial states of a run; those of effects that are not named start where the winding does, or at their default."""
+    named = {name[8:]: value for name, value in model.own[r].items() if name.startswith("initial.")}
+    known = model.file.motor.states()
+    return {name: value for name, value in named.items() if name in known}
+
+
+def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
+    """Simulate a run: the trajectory, and what the sensors would show, (N, C).
+
+    Raises:
+        ModelError: the simulation cannot go on.
+    """
+    trajectory = simulate(model.file.motor, inputs_of(model, run, r), start_of(model, r))
+    return trajectory, shown(model, run, r, _stack(run, trajectory))
+
+
+def shown(model: Model, run: Run, r: int, y: Array) -> Array:
+    """(N, C) true outputs to what the sensors show."""
+    out = np.array(y, dtype=np.float64)
+    for k, channel in enumerate(run.channels):
+        for sensor in model.file.sensors:
+            if sensor.channel == channel:
+                out[:, k] = _record(sensor, run.inputs.time_s, out[:, k])
+        skew = model.own[r].get(f"skew.{channel}", 0.0)
+        if skew:
+            out[:, k] -= skew * np.gradient(out[:, k], run.inputs.time_s)
+    return out
+
+
+def through_sensors(model: Model, run: Run, columns: Array) -> Array:
+    """(N, C, m) changes of true outputs to changes of what is shown; sensor models are affine."""
+    out = columns
+    for k, channel in enumerate(run.channels):
+        for sensor in model.file.sensors:
+            if sensor.channel != channel:
+                continue
+            out = out.copy() if out is columns else out
+            for j in range(out.shape[2]):
+                zero = np.zeros(len(out))
+                with_it = _record(sensor, run.inputs.time_s, out[:, k, j])
+                out[:, k, j] = with_it - _record(sensor, run.inputs.time_s, zero)
+    return out
+
+
+def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tuple[Trajectory, Array, Array]:
+    """Trajectory, shown outputs (N, C), and their derivatives (N, C, m) with respect to parameters of the model.
+
+    Keys of sensors and of nuisances are differentiated directly, those of the motor by the forward pass.
+    """
+    inputs, start = inputs_of(model, run, r), start_of(model, r)
+    motor = model.file.motor
+    local = [key.partition("@")[0] if key.endswith(f"@{r}") else key for key in keys]
+    of_motor = tuple(
+        name
+        for key, name in zip(keys, local, strict=True)
+        if ("@" not in key and not _is_sensor(model, key)) or name.startswith("initial.")
+    )
+    trajectory, derivative = sensitivities(motor, inputs, start, of_motor, ())
+    y = _stack(run, trajectory)
+    forced = [name for name in local if name == "load"]
+    columns = np.zeros((len(y), len(run.channels), len(keys)))
+    inside: Array | None = None
+    if forced or any(_is_sensor(model, key) and _sensor(model, key).channel not in run.channels for key in keys):
+        _, linearisation = linearise(motor, inputs, start)
+    else:
+        linearisation = None
+    for j, (key, name) in enumerate(zip(keys, local, strict=True)):
+        if "@" in name:
+            continue
+        if name in of_motor:
+            columns[:, :, j] = _stack_states(run, derivative[name])
+        elif name == "load":
+            assert linearisation is not None
+            columns[:, :, j] = _stack_states(run, linearisation.respond(torque_Nm=-np.ones((len(y), 1))))[:, :, 0]
+        elif name == "ambient" and "temperature" in run.channels:
+            columns[:, run.channels.index("temperature"), j] = 1.0
+    columns = through_sensors(model, run, columns)
+    out = shown(model, run, r, y)
+    for j, (key, name) in enumerate(zip(keys, local, strict=True)):
+        if name.startswith("skew."):
+            k = run.channels.index(name[5:])
+            columns[:, k, j] = -np.gradient(out[:, k], run.inputs.time_s)
+        elif _is_sensor(model, key):
+            sensor = _sensor(model, key)
+            step = 1e-3 * max(abs(model.file.values()[key]), sensor.typical(model.file.rated).__dict__[key.rpartition(".")[2]])
+            nudged = model.with_values({key: model.file.values()[key] + step})
+            if sensor.channel in run.channels:
+                columns[:, :, j] = (shown(nudged, run, r, y) - out) / step
+            elif linearisation is not None:
+                other = inputs_of(nudged, run, r)
+                inside = _stack_states(
+                    run,
+                    linearisation.respond(
+                        voltage_V=(other.voltage_V - inputs.voltage_V)[:, None] / step,
+                        torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
+                    ),
+                )
+                columns[:, :, j : j + 1] = through_sensors(model, run, inside)
+    return trajectory, out, columns
+
+
+def differences_of(
+    model: Model, run: Run, r: int, keys: Sequence[str], steps: Mapping[str, float]
+) -> tuple[Trajectory, Array, Array]:
+    """As `sensitivities_of`, by simulating once more for every key: nothing needs compiling but the simulation itself.
+
+    Args:
+        model: the model.
+        run: prepared recording.
+        r: its position.
+        keys: parameters.
+        steps: how far to go for each key; may be negative.
+    """
+    trajectory, out = predict(model, run, r)
+    values = model.values()
+
+    def column(key: str) -> Array:
+        name = key.partition("@")[0]
+        if "@" in key and not key.endswith(f"@{r}"):
+            return np.zeros_like(out)
+        if name.startswith("skew."):
+            k = run.channels.index(name[5:])
+            late = np.zeros_like(out)
+            late[:, k] = -np.gradient(out[:, k], run.inputs.time_s)
+            return late
+        nudged = model.with_values({key: values[key] + steps[key]})
+        if _is_sensor(model, key) and _sensor(model, key).channel in run.channels:
+            there = shown(nudged, run, r, _stack(run, trajectory))
+        else:
+            there = predict(nudged, run, r)[1]
+        return np.asarray((there - out) / steps[key])
+
+    # The compiled simulation runs without the interpreter's lock.
+    with ThreadPoolExecutor(cores()) as pool:
+        columns = list(pool.map(column, keys))
+    return trajectory, out, np.stack(columns, axis=2)
+
+
+def _sensor(model: Model, key: str) -> SensorModel:
+    owner = key.rpartition(".")[0]
+    return next(sensor for sensor in model.file.sensors if sensor.name() == owner)
+
+
+def _is_sensor(model: Model, key: str) -> bool:
+    owner = key.rpartition(".")[0]
+    return any(sensor.name() == owner for sensor in model.file.sensors)
+
+
+def _stack(run: Run, trajectory: Trajectory) -> Array:
+    y = np.column_stack([trajectory.states[STATE_OF[channel]] for channel in run.channels])
+    if "temperature" in run.channels:
+        y[:, run.channels.index("temperature")] += trajectory.inputs.ambient_C
+    return y
+
+
+def _stack_states(run: Run, states: Mapping[str, Array]) -> Array:
+    return np.stack([states[STATE_OF[channel]] for channel in run.channels], axis=1)
+
+
+def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:
+    # Only a lag looks at the history; its own filter is exact where the first-order form is not.
+    if sensor.kind == "lag":
+        return sensor.record(time_s, y, np.random.default_rng(0))
+    return np.asarray(sensor.read(y, np.gradient(y, time_s)), dtype=np.float64)
+
+
+def _unread(sensors: Sequence[SensorModel], channel: str, time_s: Array, y: Array) -> Array:
+    for sensor in reversed(sensors):
+        if sensor.channel == channel:
+            y = np.asarray(sensor.unread(y, np.gradient(y, time_s)), dtype=np.float64)
+    return y
+
+
+def with_effect(model: Model, effect: Effect) -> Model:
+    """The model with an effect added."""
+    return replace(model, file=replace(model.file, motor=model.file.motor.with_effect(effect)))
+
+
+def with_sensor(model: Model, sensor: SensorModel) -> Model:
+    """The model with a sensor model added."""
+    others = tuple(other for other in model.file.sensors if other.name() != sensor.name())
+    return replace(model, file=replace(model.file, sensors=(*others, sensor)))

@@ -1,0 +1,136 @@
+"""A recording made ready for modelling: inputs without gaps, outputs with their valid samples, and how finely to look.
+
+Rows are averaged in groups of `every` after simulation, so that an hour at 10 Hz or a minute at 10 kHz costs no more
+than some 30 000 rows; the simulation itself runs on every sample.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.recording import Recording
+from motorlens_physics.simulation import Inputs
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import DataError
+from motorlens_workbench.denoise import smoothed
+from motorlens_workbench.whitening import quantisation_step
+
+Array = NDArray[np.float64]
+
+# Measured outputs in the order of their states.
+STATE_OF = {"current": "i", "speed": "w", "temperature": "theta"}
+UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "V", "load_torque": "N*m"}
+ROWS = 30_000
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording, prepared.
+
+    Attributes:
+        name: of the recording.
+        inputs: as the sensors show them; a load torque or an ambient that was not recorded is zero or the rating plate's.
+        channels: the measured outputs, C of `STATE_OF`.
+        measured: (N, C), interpolated where missing.
+        valid: (N,) whether all outputs were measured.
+        every: rows averaged into one.
+        start: first guess of the initial states.
+        known: which inputs were recorded beside the voltage.
+        floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
+        angle: (N,) shaft angle, if recorded.
+    """
+
+    name: str
+    inputs: Inputs
+    channels: tuple[str, ...]
+    measured: Array
+    valid: NDArray[np.bool_]
+    every: int
+    start: dict[str, float]
+    known: tuple[str, ...]
+    floor: Array
+    angle: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.measured) // self.every
+
+    @property
+    def time_s(self) -> Array:
+        """(rows,) of the averaged rows."""
+        return self.average(self.inputs.time_s)
+
+    @property
+    def period_s(self) -> float:
+        """Between two samples as recorded, the median."""
+        return float(np.median(np.diff(self.inputs.time_s)))
+
+    def average(self, y: Array) -> Array:
+        """(N, ...) to (rows, ...): the mean of each `every` consecutive samples; a remainder at the end is left out."""
+        if self.every == 1:
+            return y
+        rows = len(y) // self.every
+        return np.asarray(y[: rows * self.every].reshape(rows, self.every, *y.shape[1:]).mean(axis=1))
+
+    def quieter(self) -> "Run":
+        """With the noise of the measured inputs smoothed away, see `denoise`; itself if the sampling is uneven."""
+        time = self.inputs.time_s
+        steps = np.diff(time)
+        if np.std(steps) > 0.1 * np.median(steps):
+            return self
+        smooth = replace(
+            self.inputs,
+            voltage_V=smoothed(self.inputs.voltage_V),
+            load_torque_Nm=smoothed(self.inputs.load_torque_Nm),
+        )
+        return replace(self, inputs=smooth)
+
+    def fresh(self) -> NDArray[np.bool_]:
+        """(rows,) averaged rows of which every sample is valid."""
+        return np.asarray(self.average(self.valid.astype(np.float64)) > 0.999)
+
+
+def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tuple(STATE_OF)) -> Run:
+    """Make a recording ready.
+
+    Args:
+        recording: with at least one of current, speed and temperature.
+        file: for what was not recorded (ambient).
+        channels: the outputs to look at.
+
+    Raises:
+        DataError: nothing measured but inputs, or too short.
+    """
+    used = tuple(c for c in STATE_OF if c in channels and recording.has(c))
+    if not used:
+        raise DataError(
+            f"{recording.name}: only inputs are recorded; at least one of current, speed and temperature is needed"
+        )
+    rows = len(recording)
+    if rows < 40:
+        raise DataError(f"{recording.name}: {rows} samples are too few to compare with a model")
+    time = recording.time_s - recording.time_s[0]
+    measured = np.empty((rows, len(used)))
+    valid = np.ones(rows, dtype=bool)
+    floor = np.empty(len(used))
+    start = {"i": 0.0, "w": 0.0, "theta": 0.0}
+    ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
+    every = max(1, -(-rows // ROWS))
+    for k, channel in enumerate(used):
+        y = recording.channels[channel]
+        there = np.isfinite(y)
+        valid &= there
+        measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
+        spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
+        noise = max(quantisation_step(y) / np.sqrt(12), 1e-4 * spread, 1e-9)
+        floor[k] = noise / np.sqrt(every)
+        start[STATE_OF[channel]] = float(np.median(measured[:3, k]))
+    if "temperature" in used:
+        start["theta"] = float(np.median(measured[: max(3, rows // 1000), used.index("temperature")]) - ambient[0])
+    load = recording.channels.get("load_torque", np.zeros(rows))
+    inputs = Inputs(time, recording.channels["voltage"], load, ambient)
+    known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
+    return Run(
+        recording.name, inputs, used, measured, valid, every, start, known, floor, recording.channels.get("angle")
+    )

@@ -1,0 +1,251 @@
+"""One pass over the runs: every base parameter, candidate, free curve and decoy as whitened columns, summed by blocks.
+
+A column of the evidence is the change of all measured channels per typical size of its candidate (a free curve's per unit of
+its balance), so that sizes read off it are in typical sizes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from motorlens_physics.effect import Effect
+from motorlens_physics.sensitivity import linearise
+from motorlens_physics.sensor_model import SensorModel
+from motorlens_physics.simulation import Trajectory
+from numpy.typing import NDArray
+
+from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing, variables
+from motorlens_workbench.evidence import RESIDUAL, Evidence
+from motorlens_workbench.fitting import Fit, usable
+from motorlens_workbench.model import Model, inputs_of, sensitivities_of, shown, start_of, through_sensors, with_sensor
+from motorlens_workbench.run import STATE_OF, Run
+from motorlens_workbench.whitening import Whitener
+
+Array = NDArray[np.float64]
+
+BLOCKS = 64
+# Columns carried at once, so that memory stays small on long recordings.
+CHUNK = 48
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Unwhitened columns of one run, averaged rows.
+
+    Attributes:
+        names: of the columns.
+        values: (rows, C, m).
+        residual: (rows, C).
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    residual: Array
+
+    def joined(self, names: Sequence[str], values: Array) -> "Columns":
+        """With further columns."""
+        return replace(self, names=(*self.names, *names), values=np.concatenate([self.values, values], axis=2))
+
+
+@dataclass(frozen=True)
+class Line:
+    """The linearised problem of one run: its trajectory and how forcings show in the measured channels."""
+
+    model: Model
+    run: Run
+    r: int
+    trajectory: Trajectory
+    respond: Callable[[Array, Array, Array], Array]
+
+    @classmethod
+    def of(cls, model: Model, run: Run, r: int) -> "Line":
+        """Linearise the model along a run."""
+        trajectory, linearisation = linearise(model.file.motor, inputs_of(model, run, r), start_of(model, r))
+
+        def respond(voltage: Array, torque: Array, heat: Array) -> Array:
+            states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat)
+            stacked = np.stack([states[STATE_OF[channel]] for channel in run.channels], axis=1)
+            return run.average(through_sensors(model, run, stacked))
+
+        return cls(model, run, r, trajectory, respond)
+
+    def of_forcings(self, forcings: Sequence[Forcing]) -> Array:
+        """(rows, C, m) responses to m forcings."""
+        pieces = []
+        for k in range(0, len(forcings), CHUNK):
+            part = forcings[k : k + CHUNK]
+            pieces.append(
+                self.respond(
+                    np.column_stack([f.voltage for f in part]),
+                    np.column_stack([f.torque for f in part]),
+                    np.column_stack([f.heat for f in part]),
+                )
+            )
+        if not pieces:
+            return np.zeros((len(self.run), len(self.run.channels), 0))
+        return np.concatenate(pieces, axis=2)
+
+    def of_effect(self, effects: Sequence[Effect]) -> Array:
+        """(rows, C, m) what effects at their present sizes would change."""
+        return self.of_forcings([forcing(effect, self.trajectory) for effect in effects])
+
+    def of_sensor(self, sensor: SensorModel) -> Array:
+        """(rows, C) what a fault of this size would change."""
+        run, model = self.run, self.model
+        if sensor.channel in run.channels:
+            y = np.column_stack([self.trajectory.states[STATE_OF[c]] for c in run.channels])
+            if "temperature" in run.channels:
+                y[:, run.channels.index("temperature")] += self.trajectory.inputs.ambient_C
+            before = shown(model, run, self.r, y)
+            return run.average(shown(with_sensor(model, sensor), run, self.r, y) - before)
+        there = inputs_of(with_sensor(model, sensor), run, self.r)
+        here = self.trajectory.inputs
+        still = np.zeros((len(here.time_s), 1))
+        return self.respond(
+            (there.voltage_V - here.voltage_V)[:, None], (here.load_torque_Nm - there.load_torque_Nm)[:, None], still
+        )[:, :, 0]
+
+    def of_curve(self, curve: Curve, weight: Array | None = None) -> Array:
+        """(rows, C, k) responses to the hat functions of a free curve, optionally times a weight (N,)."""
+        z = self.angle() if curve.against == "angle" else variables(self.trajectory)[curve.against]
+        hats = curve.hats(z) if weight is None else curve.hats(z) * weight[:, None]
+        still = np.zeros_like(hats)
+        parts = {"voltage": still, "torque": still, "heat": still, curve.balance: hats}
+        return self.respond(parts["voltage"], parts["torque"], parts["heat"])
+
+    def angle(self) -> Array:
+        """(N,) shaft angle within a revolution: measured, or the integral of the measured or simulated speed."""
+        if self.run.angle is not None:
+            return np.asarray(np.mod(self.run.angle, 2 * np.pi))
+        time = self.run.inputs.time_s
+        w = (
+            self.run.measured[:, self.run.channels.index("speed")]
+            if "speed" in self.run.channels
+            else self.trajectory.speed_rad_s
+        )
+        turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(time))])
+        return np.asarray(np.mod(turned, 2 * np.pi))
+
+
+def columns_of(
+    model: Model,
+    run: Run,
+    r: int,
+    keys: Sequence[str],
+    scales: dict[str, float],
+    listed: Sequence[Candidate],
+    free_curves: Sequence[Curve],
+    with_decoys: bool = True,
+) -> tuple[Columns, Line]:
+    """All columns of one run.
+
+    Args:
+        model: linearised about.
+        run: prepared recording.
+        r: its position.
+        keys: parameters of the model, base and accepted.
+        scales: unit of each key's column, such as its prior's standard deviation.
+        listed: candidates.
+        free_curves: free curves.
+        with_decoys: whether to add decoys.
+    """
+    mine = [key for key in keys if "@" not in key or key.endswith(f"@{r}")]
+    _, y, derivative = sensitivities_of(model, run, r, mine)
+    line = Line.of(model, run, r)
+    base = run.average(derivative) * np.array([scales[key] for key in mine])
+    rows = len(run)
+    full = np.zeros((rows, len(run.channels), len(keys)))
+    full[:, :, [keys.index(key) for key in mine]] = base
+    columns = Columns(tuple(keys), full, run.average(run.measured - y))
+    names: list[str] = []
+    effects: list[Effect] = []
+    for candidate in listed:
+        for variant, labels in zip(candidate.variants, candidate.columns(), strict=True):
+            for part, label in zip(variant, labels, strict=True):
+                if isinstance(part, Effect):
+                    names.append(label)
+                    effects.append(part)
+    columns = columns.joined(names, line.of_effect(effects))
+    for candidate in listed:
+        if candidate.kind == "sensor":
+            sensor = candidate.variants[0][0]
+            assert isinstance(sensor, SensorModel)
+            usable_here = sensor.channel in (*run.channels, "voltage", *run.known)
+            value = line.of_sensor(sensor) if usable_here else np.zeros((rows, len(run.channels)))
+            columns = columns.joined(candidate.columns()[0], value[:, :, None])
+    for curve in free_curves:
+        columns = columns.joined(curve.columns(), line.of_curve(curve))
+    if with_decoys:
+        false = decoys(line.trajectory)
+        columns = columns.joined(list(false), line.of_forcings(list(false.values())))
+    return columns, line
+
+
+def layout(runs: Sequence[Run], whiteners: Sequence[Whitener]) -> list[tuple[int, slice]]:
+    """The blocks of time: which run, which of its averaged rows."""
+    total = sum(len(run) for run in runs)
+    found = []
+    for r, (run, whitener) in enumerate(zip(runs, whiteners, strict=True)):
+        rows = len(run)
+        wanted = max(round(BLOCKS * rows / total), 24)
+        length = max(-(-rows // wanted), 2 * whitener.order + 8)
+        found += [(r, slice(start, min(start + length, rows))) for start in range(0, rows, length)]
+    return found
+
+
+def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequence[Whitener]) -> Evidence:
+    """Whiten all columns and sum their products by blocks of time."""
+    names = columns[0].names
+    whitened, kept = [], []
+    for one, run, whitener in zip(columns, runs, whiteners, strict=True):
+        z = whitener(np.concatenate([one.values, one.residual[:, :, None]], axis=2))
+        kept.append(usable(run, whitener))
+        z[~kept[-1]] = 0.0
+        whitened.append(z)
+    blocks, samples = [], []
+    for r, rows in layout(runs, whiteners):
+        part = whitened[r][rows].reshape(-1, len(names) + 1)
+        blocks.append(part.T @ part)
+        samples.append(float(kept[r][rows].sum()))
+    return Evidence.of(names, np.array(blocks), np.array(samples))
+
+
+def saturated(columns: Sequence[Columns], runs: Sequence[Run], plain: Sequence[Whitener]) -> tuple[list[Array], int]:
+    """Residuals that no column explains, per run, and how many directions were spent on them.
+
+    The noise is taken from here: from the base residual, a missing effect would hide in the noise model. On short
+    recordings only the strongest directions are used, one in twenty samples at most.
+    """
+    evidence = evidence_of(columns, runs, plain)
+    total = evidence.total()
+    scale = np.sqrt(np.maximum(np.diagonal(total)[:-1], 1e-300))
+    values, vectors = np.linalg.eigh(total[:-1, :-1] / np.outer(scale, scale))
+    samples = sum(int(run.fresh().sum()) * len(run.channels) for run in runs)
+    most = max(samples // 20, 8)
+    kept = values > 1e-9 * values[-1]
+    kept[: max(len(values) - most, 0)] = False
+    along = vectors[:, kept]
+    coefficient = along @ ((along.T @ (total[:-1, -1] / scale)) / values[kept]) / scale
+    return [one.residual - one.values @ coefficient for one in columns], int(kept.sum())
+
+
+def all_columns(
+    found: Fit, runs: Sequence[Run], listed: Sequence[Candidate], free_curves: Sequence[Curve], with_decoys: bool = True
+) -> tuple[list[Columns], list[Line]]:
+    """The columns of every run in one pass."""
+    scales = dict(found.prior.sd)
+    pairs = [
+        columns_of(found.model, run, r, found.prior.keys, scales, listed, free_curves, with_decoys)
+        for r, run in enumerate(runs)
+    ]
+    return [columns for columns, _ in pairs], [line for _, line in pairs]
+
+
+def with_priors(evidence: Evidence, found: Fit) -> Evidence:
+    """Add the priors of the fitted parameters, in units of their standard deviation."""
+    values = found.model.values()
+    centre = {key: (found.prior.centre[key] - values[key]) / width for key, width in found.prior.sd.items()}
+    return evidence.with_prior(centre, {key: 1.0 for key in found.prior.keys})
+
+
+__all__ = ["RESIDUAL", "Columns", "Line", "all_columns", "evidence_of", "layout", "saturated", "with_priors"]

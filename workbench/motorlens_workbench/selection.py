@@ -1,0 +1,191 @@
+"""Which candidates the evidence speaks for: tests, rivals, refits with the true nonlinear effect, forward choice.
+
+Forward steps of at most three. Each takes the candidate with the best robust statistic and its rivals, refits the whole
+model with each of them, and keeps the best; then everything is screened again from the new model. Base parameters are
+always fitted along.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from motorlens_physics.effect import Effect
+from motorlens_physics.sensor_model import SensorModel
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import ModelError
+from motorlens_workbench.candidates import Candidate
+from motorlens_workbench.evidence import Evidence, Score, score, similarity
+from motorlens_workbench.fitting import Fit, Prior, fit, part_prior
+from motorlens_workbench.model import Model, with_effect, with_sensor
+from motorlens_workbench.run import Run
+
+Array = NDArray[np.float64]
+
+# The statistic that counts as real, about p = 1e-6 for one test: a hundred candidates and shapes are tried, and the noise
+# model is an estimate.
+REAL = 26.0
+# Share of the whitened sum of squares below which an effect is not worth having.
+WORTH = 1e-3
+
+
+@dataclass(frozen=True)
+class Test:
+    """A candidate's best shape against what is left.
+
+    Attributes:
+        candidate: what was tested.
+        variant: which shape.
+        score: the robust score test; None if the columns are copies of what the model has.
+        size: of the switch, away from its null, in its unit; the amplitude for a sine and a cosine.
+        allowed: whether that size is within the parameter's bounds.
+        typical: typical size, same unit.
+    """
+
+    candidate: Candidate
+    variant: int
+    score: Score | None
+    size: float
+    allowed: bool
+    typical: float
+
+    @property
+    def statistic(self) -> float:
+        """The robust statistic; 0 where nothing can be said or the sign is impossible."""
+        return self.score.statistic if self.score and self.allowed else 0.0
+
+    @property
+    def gain(self) -> float:
+        """Fall of the whitened sum of squares."""
+        return self.score.gain if self.score and self.allowed else 0.0
+
+    def detectable(self, samples: float) -> float:
+        """The smallest size that would be called real and worth having, in the switch's unit."""
+        if self.score is None:
+            return float("inf")
+        needed = max(REAL * self.score.inflation, WORTH * samples)
+        return abs(self.typical) * float(np.sqrt(needed / max(self.score.information[0, 0], 1e-300)))
+
+
+def test_all(left: Evidence, listed: Sequence[Candidate], model: Model) -> dict[str, Test]:
+    """Every candidate with the shape that fits best, by name."""
+    found = {}
+    for candidate in listed:
+        best: Test | None = None
+        typical = candidate.typical(model.file)
+        for v, labels in enumerate(candidate.columns()):
+            tested = score(left, labels)
+            test = _sized(candidate, v, tested, typical)
+            if best is None or (test.statistic, _information(test)) > (best.statistic, _information(best)):
+                best = test
+        assert best is not None
+        found[candidate.name] = best
+    return found
+
+
+def _information(test: Test) -> float:
+    return float(test.score.information[0, 0]) if test.score else 0.0
+
+
+def _sized(candidate: Candidate, v: int, tested: Score | None, typical: float) -> Test:
+    if tested is None:
+        return Test(candidate, v, None, 0.0, True, typical)
+    switch = candidate.variants[v][0].switch()
+    assert switch is not None and switch.null is not None
+    if len(tested.coefficient) > 1:
+        return Test(candidate, v, tested, abs(typical) * float(np.hypot(*tested.coefficient[:2])), True, typical)
+    size = float(tested.coefficient[0]) * typical
+    low, high = switch.bounds
+    # A hair beyond a bound is noise, not a wrong sign.
+    slack = 2 * abs(typical) * float(np.sqrt(tested.covariance[0, 0]))
+    return Test(candidate, v, tested, size, low - slack <= switch.null + size <= high + slack, typical)
+
+
+def rivals(left: Evidence, tests: dict[str, Test], best: Test, most: int = 5) -> list[Test]:
+    """The best candidate and those that explain nearly as much of the same thing, the strongest first."""
+    near = []
+    for test in tests.values():
+        if test.statistic <= 0 or test is best:
+            continue
+        if test.statistic > 0.7 * best.statistic or (
+            test.statistic > 0.5 * best.statistic and likeness(left, best, test) > 0.5
+        ):
+            near.append(test)
+    near.sort(key=lambda test: -test.statistic)
+    return [best, *near[: most - 1]]
+
+
+def likeness(left: Evidence, one: Test, other: Test) -> float:
+    """Squared correlation of two candidates' columns (the largest, where they have several)."""
+    labels = [*one.candidate.columns()[one.variant], *other.candidate.columns()[other.variant]]
+    split = len(one.candidate.columns()[one.variant])
+    return float(np.max(similarity(left, labels)[:split, split:]))
+
+
+def with_candidate(found: Fit, evidence: Evidence, test: Test) -> tuple[Model, Prior]:
+    """The model with a candidate added at the size that the linearised problem gives, base parameters moved along."""
+    candidate = test.candidate
+    labels = candidate.columns()[test.variant]
+    keys = found.prior.keys
+    solution, _ = evidence.solve([*keys, *labels])
+    parts = candidate.variants[test.variant]
+    switch = parts[0].switch()
+    assert switch is not None and switch.null is not None
+    sizes = solution[len(keys) :] * test.typical
+    if len(labels) == 2:
+        # sin(N phi + p) = sin(N phi) cos p + cos(N phi) sin p
+        amplitude, phase = float(np.hypot(*sizes)), float(np.arctan2(sizes[1], sizes[0]))
+        part = replace(parts[0], **{switch.name: switch.null + amplitude, "p": phase})  # type: ignore[type-var]
+    else:
+        low, high = switch.bounds
+        # Not quite at null, where the shape would be undetermined.
+        size = sizes[0] if abs(sizes[0]) > 1e-3 * abs(test.typical) else 1e-3 * test.typical
+        part = replace(parts[0], **{switch.name: float(np.clip(switch.null + size, low, high))})  # type: ignore[type-var]
+    values = found.model.values()
+    moved = {
+        key: float(np.clip(values[key] + move * found.prior.sd[key], *_inner(found.prior.bounds[key], values[key])))
+        for key, move in zip(keys, solution[: len(keys)], strict=True)
+    }
+    add = with_sensor if isinstance(part, SensorModel) else with_effect
+    model = add(found.model, part)  # type: ignore[arg-type]
+    return model.with_values(moved), found.prior.joined(part_prior(model.file, candidate.name))
+
+
+def _inner(bounds: tuple[float, float], value: float) -> tuple[float, float]:
+    # A linear step never takes more than nine tenths of the way to zero.
+    low = max(bounds[0], 0.1 * value) if value > 0 and bounds[0] >= 0 else bounds[0]
+    return low, bounds[1]
+
+
+def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], rounds: int = 5) -> Fit | None:
+    """The whole model fitted again with the candidate in it; None if no start can be simulated."""
+    linear, prior = with_candidate(found, evidence, test)
+    unmoved = found.model.with_values({})
+    parts = (*linear.file.motor.effects, *linear.file.sensors)
+    part = next(part for part in parts if part.name() == test.candidate.name)
+    add = with_sensor if isinstance(part, SensorModel) else with_effect
+    best: Fit | None = None
+    for start in (linear, add(unmoved, part)):  # type: ignore[arg-type]
+        try:
+            tried = fit(start, runs, prior, found.whiteners, rounds=rounds, by_differences=True)
+        except ModelError:
+            continue
+        if best is None or total(tried) < total(best):
+            best = tried
+        if total(found) - total(best) > 0.8 * test.gain:
+            break
+    return best
+
+
+def total(found: Fit) -> float:
+    """Whitened sum of squares and priors."""
+    return found.error + found.penalty
+
+
+def effect_names(model: Model) -> list[str]:
+    """Effects and sensor models of a model."""
+    return [part.name() for part in (*model.file.motor.effects, *model.file.sensors)]
+
+
+Progress = Callable[[str], None]
+__all__ = ["Effect", "Progress", "Test", "likeness", "refit", "rivals", "test_all", "total", "with_candidate"]
