@@ -16,7 +16,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.columns import Column, require, understand
+from motorlens_runtime.columns import require, understand
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
 
@@ -73,6 +73,8 @@ class CsvStream:
         self.headings = _cells(heading, self._separator)
         self.columns = understand(self.headings, mapping, self.name)
         require(self.columns, ("time", "voltage", "current"), self.headings, self.name)
+        # Written by the live recorder: what the line knew of each sample.
+        self._flags_at = self.headings.index("link_flags") if "link_flags" in self.headings else None
 
     def __iter__(self) -> Iterator[Block]:
         """All blocks, in order. Raises DataError where a cell is no number or time runs backwards."""
@@ -120,7 +122,14 @@ class CsvStream:
             ambient: Array | None = self._channel(table, "ambient")
         else:
             ambient = None if self._ambient_C is None else np.full(len(time_ns), self._ambient_C)
-        yield Block(Samples(time_ns, voltage, current, ambient), first_row, self._raw.tell())
+        flags = None
+        if self._flags_at is not None:
+            flags = (
+                np.nan_to_num(table[:, self._flags_at], posinf=0.0, neginf=0.0)
+                .astype(np.int64)
+                .astype(np.uint32)
+            )
+        yield Block(Samples(time_ns, voltage, current, ambient, flags), first_row, self._raw.tell())
 
     def _channel(self, table: Array, quantity: str) -> Array:
         column = self.columns[quantity]
@@ -153,10 +162,14 @@ class CsvStream:
 
     def _careful(self, text: bytes) -> tuple[Array, NDArray[np.int64]]:
         """Cell by cell; only the columns that are used."""
-        used = sorted(
-            {self.columns[q].index for q in ("time", "voltage", "current", "ambient") if q in self.columns}
-        )
-        names = {column.index: column for column in self.columns.values()}
+        names = {
+            c.index: c.heading
+            for q, c in self.columns.items()
+            if q in ("time", "voltage", "current", "ambient")
+        }
+        if self._flags_at is not None:
+            names[self._flags_at] = "link_flags"
+        used = sorted(names)
         values, rows = [], []
         for row, line in enumerate(text.split(b"\n")[:-1], start=self._row):
             if not line.strip():
@@ -173,14 +186,14 @@ class CsvStream:
         table[:, used] = np.array(values).reshape(len(values), len(used))
         return table, np.array(rows, dtype=np.int64)
 
-    def _number(self, cell: str, column: Column, row: int) -> float:
+    def _number(self, cell: str, heading: str, row: int) -> float:
         try:
             if "_" in cell:
                 raise ValueError
             return float(cell) if cell.strip() else float("nan")
         except ValueError:
             raise DataError(
-                f"{self.name}: row {row}, column {column.heading!r}: {cell[:40]!r} is not a number; "
+                f"{self.name}: row {row}, column {heading!r}: {cell[:40]!r} is not a number; "
                 "correct it, or leave the cell empty"
             ) from None
 

@@ -1,0 +1,321 @@
+"""One device at the other end of a line that speaks frames: what HELLO says, which sample was taken when, what was lost.
+
+Time is the device's: its 32-bit microsecond stamps made continuous. While stamps agree with the announced rate, samples lie
+exactly on its grid; a later stamp is a gap; a restart goes on by the time that the host saw pass, after one sample of rest.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_runtime.columns import Column, understand
+from motorlens_runtime.dialects import Dialect
+from motorlens_runtime.errors import DataError
+from motorlens_runtime.framing import (
+    SAMPLE_TYPES,
+    Decoder,
+    Flag,
+    FrameRun,
+    Hello,
+    HelloAssembler,
+    Kind,
+    Status,
+)
+from motorlens_runtime.gate import Samples
+from motorlens_runtime.quality import Quality
+
+# Runs of frames kept until HELLO tells what they mean.
+_KEPT_RUNS = 4096
+# Stamps are whole microseconds; closer than this is on the grid.
+_ON_GRID_NS = 1_500
+# A stamp this far in the past is a restarted clock, not a frame that comes late.
+_RESTART_NS = 1_000_000_000
+_WRAP_NS = (1 << 32) * 1000
+
+
+@dataclass(frozen=True)
+class Counters:
+    """What happened on the line so far."""
+
+    samples: int = 0
+    lost_samples: int = 0
+    lost_frames: int = 0
+    late_frames: int = 0
+    unknown_frames: int = 0
+    gaps: int = 0
+    restarts: int = 0
+    device_overruns: int = 0
+
+
+class Link(Dialect):
+    """Frames in, samples out.
+
+    Attributes:
+        hello: what the device said of itself, None before.
+        status: its last counters, None before.
+        counters: see `Counters`.
+        complaint: why the last HELLO was of no use, None if it was.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hello: Hello | None = None
+        self.status: Status | None = None
+        self.counters = Counters()
+        self.complaint: str | None = None
+        self._decoder = Decoder()
+        self._assembler = HelloAssembler()
+        self._columns: dict[str, Column] = {}
+        self._early: deque[FrameRun] = deque(maxlen=_KEPT_RUNS)
+        self._sequence: int | None = None
+        # The grid: its anchor on the continuous time, and how many samples since; the raw stamp expected next.
+        self._anchor_ns = 0
+        self._count = 0
+        self._offset_ns = 0
+        self._started = False
+        self._restarted = False
+        self._last_arrival_ns = 0
+        self._count_of = dict.fromkeys(Counters.__dataclass_fields__, 0)
+
+    @property
+    def period_s(self) -> float | None:
+        """Time between samples, None before HELLO."""
+        return None if self.hello is None else self.hello.rate_Hz[1] / self.hello.rate_Hz[0]
+
+    @property
+    def device(self) -> str:
+        """What the device calls itself."""
+        return "" if self.hello is None else self.hello.device
+
+    def feed(self, data: bytes, now_ns: int) -> Samples:
+        """See `Dialect.feed`; stamps are the device's."""
+        self.bytes_seen += len(data)
+        parts: list[Samples] = []
+        for run in self._decoder.feed(data):
+            self._follow_sequence(run)
+            kinds = run.kind
+            start = 0
+            for end in [*(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(run)]:
+                self._take(_part(run, start, end), parts, now_ns)
+                start = end
+        self.bad_frames = self._decoder.bad_frames
+        self.counters = Counters(**self._count_of)
+        return joined(parts)
+
+    def _take(self, run: FrameRun, parts: list[Samples], now_ns: int) -> None:
+        kind = int(run.kind[0])
+        if kind == Kind.SAMPLES:
+            if self.hello is None:
+                self._count_of["unknown_frames"] += len(run) if len(self._early) == _KEPT_RUNS else 0
+                self._early.append(run)
+            else:
+                self._samples(run, parts, now_ns)
+        elif kind == Kind.HELLO:
+            for frame in run.frames():
+                try:
+                    hello = self._assembler.feed(frame)
+                    if hello is not None:
+                        self._greet(hello)
+                except DataError as error:
+                    self.complaint = str(error)
+            while self.hello is not None and self._early:
+                self._samples(self._early.popleft(), parts, now_ns)
+        elif kind == Kind.STATUS:
+            try:
+                self.status = Status.from_bytes(run.payload[-1].tobytes())
+            except DataError:
+                self._count_of["unknown_frames"] += len(run)
+        else:
+            self._count_of["unknown_frames"] += len(run)
+
+    def _greet(self, hello: Hello) -> None:
+        columns = understand(
+            [f"{c.name} ({c.unit})" for c in hello.channels], {}, f"HELLO of {hello.device[:40]!r}"
+        )
+        for quantity in ("voltage", "current"):
+            if quantity not in columns:
+                raise DataError(f"HELLO of {hello.device[:40]!r} has no {quantity} channel")
+        if self.hello is not None and hello.boot != self.hello.boot:
+            self._restarted = True
+        if self.hello is not None and hello.rate_Hz != self.hello.rate_Hz:
+            self._anchor_ns, self._count = self._next_ns(), 0
+        self.hello, self._columns, self.complaint = hello, columns, None
+
+    def _follow_sequence(self, run: FrameRun) -> None:
+        numbers = run.sequence.astype(np.int64)
+        steps = (
+            np.diff(numbers, prepend=numbers[0] - 1 if self._sequence is None else self._sequence) & 0xFFFF
+        )
+        # A step of more than half the range is a frame that comes late or twice, not 32768 lost ones.
+        self._count_of["lost_frames"] += int((steps[(steps > 1) & (steps < 0x8000)] - 1).sum())
+        self._sequence = int(numbers[-1])
+
+    def _samples(self, run: FrameRun, parts: list[Samples], now_ns: int) -> None:
+        hello = self.hello
+        assert hello is not None
+        width = len(hello.channels) * SAMPLE_TYPES[hello.channels[0].type].itemsize
+        payload = run.payload
+        known = np.zeros(len(run), dtype=bool)
+        if payload.shape[1] >= 2 and (payload.shape[1] - 2) % width == 0:
+            n = (payload.shape[1] - 2) // width
+            known = (payload[:, 0] == hello.schema) & (payload[:, 1] == n) & (n > 0)
+        self._count_of["unknown_frames"] += int(len(run) - known.sum())
+        if not known.any():
+            return
+        run = run if known.all() else _chosen(run, known)
+        self._count_of["device_overruns"] += int((run.flags & Flag.OVERRUN > 0).sum())
+        times, keep, rests = self._times(run, n, now_ns)
+        self._last_arrival_ns = now_ns
+        if not keep.any():
+            return
+        if not keep.all():
+            run = _chosen(run, keep)
+        samples = self._decode(run, n, times)
+        self._count_of["samples"] += len(samples)
+        parts.extend(_with_rests(samples, rests))
+
+    def _times(
+        self, run: FrameRun, n: int, now_ns: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], list[int]]:
+        """Times (kept frames * n,), which frames are kept, and where (in ns) a sample of rest belongs."""
+        frames = len(run)
+        raw_ns = run.t0_us.astype(np.int64) * 1000
+        keep = np.ones(frames, dtype=bool)
+        expected = self._grid(self._count + n * np.arange(frames))
+        ahead = (raw_ns - self._offset_ns - expected + _WRAP_NS // 2) % _WRAP_NS - _WRAP_NS // 2
+        if self._started and not self._restarted and (np.abs(ahead) <= _ON_GRID_NS).all():
+            self._count += frames * n
+            return self._grid(self._count - frames * n + np.arange(frames * n)), keep, []
+        times, rests = [], []
+        for frame in range(frames):
+            usable, rest = self._place(int(raw_ns[frame]), bool(run.flags[frame] & Flag.RESTART), now_ns)
+            keep[frame] = usable
+            if usable:
+                if rest is not None:
+                    rests.append(rest)
+                times.append(self._grid(self._count + np.arange(n)))
+                self._count += n
+        return np.concatenate(times) if times else np.zeros(0, dtype=np.int64), keep, rests
+
+    def _place(self, raw_ns: int, says_restart: bool, now_ns: int) -> tuple[bool, int | None]:
+        """Move the grid to where a frame says it is; whether the frame is of use, and the time of a rest before it."""
+        assert self.hello is not None
+        period_ns = 10**9 * self.hello.rate_Hz[1] // self.hello.rate_Hz[0]
+        if not self._started:
+            self._started = True
+            self._anchor_ns, self._count, self._offset_ns = raw_ns, 0, 0
+            return True, None
+        expected = self._next_ns()
+        ahead = (raw_ns - self._offset_ns - expected + _WRAP_NS // 2) % _WRAP_NS - _WRAP_NS // 2
+        if self._restarted or ahead < -_RESTART_NS or (says_restart and ahead < -period_ns // 2):
+            self._restarted = False
+            self._count_of["restarts"] += 1
+            away_ns = max(now_ns - self._last_arrival_ns, period_ns)
+            self._anchor_ns, self._count = expected - period_ns + away_ns, 0
+            self._offset_ns = raw_ns - self._anchor_ns
+            # Without power there is no voltage and no current: say so just before the first new sample.
+            return True, self._anchor_ns - period_ns if away_ns >= 2 * period_ns else None
+        if abs(ahead) <= _ON_GRID_NS:
+            return True, None
+        if ahead < -period_ns // 2:
+            self._count_of["late_frames"] += 1
+            return False, None
+        self._anchor_ns, self._count = expected + ahead, 0
+        if ahead > period_ns // 2:
+            self._count_of["gaps"] += 1
+            self._count_of["lost_samples"] += round(ahead / period_ns)
+        return True, None
+
+    def _next_ns(self) -> int:
+        return int(self._grid(np.array([self._count]))[0])
+
+    def _grid(self, count: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Times of samples by their number since the anchor."""
+        assert self.hello is not None
+        numerator, denominator = self.hello.rate_Hz
+        whole, part = np.divmod(count, numerator)
+        times: NDArray[np.int64] = (
+            self._anchor_ns + whole * (10**9 * denominator) + part * (10**9 * denominator) // numerator
+        )
+        return times
+
+    def _decode(self, run: FrameRun, n: int, times: NDArray[np.int64]) -> Samples:
+        hello = self.hello
+        assert hello is not None
+        layout = SAMPLE_TYPES[hello.channels[0].type]
+        codes = (
+            np.ascontiguousarray(run.payload[:, 2:]).view(layout).reshape(len(run) * n, len(hello.channels))
+        )
+        flags = np.zeros(len(codes), dtype=np.uint32)
+        if hello.simulated:
+            flags |= np.uint32(Quality.SIMULATED)
+        rails_known = False
+        values: dict[str, NDArray[np.float64]] = {}
+        for quantity, column in self._columns.items():
+            channel = hello.channels[column.index]
+            code = codes[:, column.index].astype(np.float64)
+            at_rail = np.zeros(len(codes), dtype=bool)
+            if channel.minimum is not None:
+                at_rail |= code <= channel.minimum
+            if channel.maximum is not None:
+                at_rail |= code >= channel.maximum
+            rails_known |= channel.minimum is not None or channel.maximum is not None
+            flags[at_rail] |= np.uint32(Quality.SATURATED)
+            values[quantity] = (channel.scale * code + channel.offset) * column.factor + column.offset
+        if not rails_known:
+            flags[np.repeat(run.flags & Flag.SATURATED > 0, n)] |= np.uint32(Quality.SATURATED)
+        return Samples(times, values["voltage"], values["current"], values.get("ambient"), flags)
+
+
+def _chosen(run: FrameRun, rows: NDArray[np.bool_]) -> FrameRun:
+    return FrameRun(run.kind[rows], run.flags[rows], run.sequence[rows], run.t0_us[rows], run.payload[rows])
+
+
+def _part(run: FrameRun, start: int, end: int) -> FrameRun:
+    if start == 0 and end == len(run):
+        return run
+    rows = slice(start, end)
+    return FrameRun(run.kind[rows], run.flags[rows], run.sequence[rows], run.t0_us[rows], run.payload[rows])
+
+
+def _with_rests(samples: Samples, rests: list[int]) -> list[Samples]:
+    """The samples cut at each rest, with a sample of 0 V and 0 A put in."""
+    pieces, start = [], 0
+    for rest in rests:
+        at = int(np.searchsorted(samples.time_ns, rest, side="right"))
+        pieces.append(slice_of(samples, start, at))
+        ambient = None if samples.ambient_C is None else samples.ambient_C[at : at + 1]
+        flags = np.array([Quality.BRIDGED], dtype=np.uint32)
+        pieces.append(Samples(np.array([rest]), np.zeros(1), np.zeros(1), ambient, flags))
+        start = at
+    return [*pieces, slice_of(samples, start, len(samples))]
+
+
+def slice_of(samples: Samples, start: int, end: int) -> Samples:
+    """Samples `start` to `end`."""
+    rows = slice(start, end)
+    return Samples(
+        samples.time_ns[rows], samples.voltage_V[rows], samples.current_A[rows],
+        None if samples.ambient_C is None else samples.ambient_C[rows],
+        None if samples.flags is None else samples.flags[rows],
+    )  # fmt: skip
+
+
+def joined(parts: list[Samples]) -> Samples:
+    """Samples one after another."""
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return Samples(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+    ambients = [part.ambient_C for part in parts]
+    return Samples(
+        np.concatenate([part.time_ns for part in parts]),
+        np.concatenate([part.voltage_V for part in parts]),
+        np.concatenate([part.current_A for part in parts]),
+        None if any(a is None for a in ambients) else np.concatenate([a for a in ambients if a is not None]),
+        np.concatenate(
+            [np.zeros(len(part), dtype=np.uint32) if part.flags is None else part.flags for part in parts]
+        ),
+    )

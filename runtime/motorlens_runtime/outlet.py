@@ -1,0 +1,187 @@
+"""A publisher behind a bounded queue and a thread of its own: slow or dead, it never delays the estimator.
+
+What does not fit is dropped, oldest first, and counted. An error of the publisher is counted and it is tried again with
+the next rows.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import DataError
+from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.publish import Publisher
+
+_MAX_ROWS = 1 << 16
+_FLUSH_S = 0.2
+
+
+class Grid:
+    """Picks the first row at or after each instant of a fixed rate; a rate of 0 picks every row."""
+
+    def __init__(self, rate_Hz: float) -> None:
+        self._period_ns = round(1e9 / rate_Hz) if rate_Hz > 0 else 0
+        self._last: int | None = None
+
+    def rows(self, time_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Indices of the rows that are due."""
+        if not self._period_ns or not len(time_ns):
+            return np.arange(len(time_ns))
+        ticks = time_ns // self._period_ns
+        picked = np.flatnonzero(np.diff(ticks, prepend=ticks[0] - 1 if self._last is None else self._last))
+        self._last = int(ticks[-1])
+        return picked
+
+
+def rows_of(estimates: Estimates, rows: NDArray[np.intp]) -> Estimates:
+    """The chosen rows."""
+    return Estimates(
+        estimates.time_ns[rows], estimates.values[rows], estimates.sigma[rows], estimates.quality[rows]
+    )
+
+
+@dataclass(frozen=True)
+class OutletReport:
+    """What became of the rows that a publisher was given."""
+
+    url: str
+    published: int
+    dropped: int
+    errors: int
+    last_error: str | None
+
+
+class Outlet:
+    """One `--publish URL` with its options `rate` (rows per second) and `decimate` (`last` or `mean`)."""
+
+    def __init__(self, url: str, publisher: Publisher) -> None:
+        options = dict(parse_qsl(urlsplit(url).query))
+        self._url = url
+        self._publisher = publisher
+        self._grid = Grid(_rate(url, options.get("rate", "0")))
+        self._reduce = _reducer(url, options.get("decimate", "last"), options.get("rate"))
+        self._queue: deque[Estimates] = deque()
+        self._rows_waiting = 0
+        self._wake = threading.Condition()
+        self._closing = False
+        self._published = self._dropped = self._errors = 0
+        self._last_error: str | None = None
+        self.dead = False
+        self._thread = threading.Thread(target=self._work, name=url, daemon=True)
+        self._thread.start()
+
+    def put(self, estimates: Estimates) -> None:
+        """Hand over rows; returns at once."""
+        estimates = self._reduce(self._grid, estimates)
+        if not len(estimates) or self.dead:
+            return
+        with self._wake:
+            self._queue.append(estimates)
+            self._rows_waiting += len(estimates)
+            while self._rows_waiting > _MAX_ROWS and len(self._queue) > 1:
+                lost = len(self._queue.popleft())
+                self._rows_waiting -= lost
+                self._dropped += lost
+            self._wake.notify()
+
+    def close(self, patience_s: float = 2.0) -> None:
+        """Publish what waits, for `patience_s` at most, and finish."""
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join(patience_s)
+        if self._thread.is_alive():
+            with self._wake:
+                self._dropped += self._rows_waiting
+                self._last_error = f"did not take its last {self._rows_waiting} rows within {patience_s:g} s"
+
+    def report(self) -> OutletReport:
+        """See `OutletReport`."""
+        return OutletReport(self._url, self._published, self._dropped, self._errors, self._last_error)
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                while not self._queue and not self._closing:
+                    if not self._wake.wait(_FLUSH_S):
+                        break
+                batch, self._queue = list(self._queue), deque()
+                self._rows_waiting = 0
+                finish = self._closing
+            for estimates in batch:
+                self._attempt(self._publisher.publish, estimates)
+            self._attempt(self._publisher.flush)
+            if finish and not self._queue:
+                self._attempt(self._publisher.close)
+                return
+
+    def _attempt(self, action: Callable[..., None], *arguments: Estimates) -> None:
+        if self.dead:
+            return
+        try:
+            action(*arguments)
+            self._published += sum(len(argument) for argument in arguments)
+        except BrokenPipeError as error:
+            self.dead = True  # the reader has gone for good
+            self._note(error, arguments)
+        except Exception as error:  # whatever a publisher's library raises must not end the service
+            self._note(error, arguments)
+
+    def _note(self, error: Exception, arguments: tuple[Estimates, ...]) -> None:
+        self._errors += 1
+        self._dropped += sum(len(argument) for argument in arguments)
+        self._last_error = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+
+
+def _rate(url: str, text: str) -> float:
+    try:
+        rate = float(text)
+        if not 0 <= rate < 1e9:
+            raise ValueError
+    except ValueError:
+        raise DataError(f"--publish {url}: rate={text} is not a rate in rows per second") from None
+    return rate
+
+
+def _reducer(url: str, name: str, rate: str | None) -> Callable[[Grid, Estimates], Estimates]:
+    if name == "last" or rate is None:
+        return lambda grid, estimates: rows_of(estimates, grid.rows(estimates.time_ns))
+    if name == "mean":
+        return _Mean()
+    raise DataError(f"--publish {url}: decimate={name}; known: last, mean")
+
+
+class _Mean:
+    """Means over the rows since the previous published one: values and sigmas averaged, reasons joined."""
+
+    def __init__(self) -> None:
+        self._held: list[Estimates] = []
+
+    def __call__(self, grid: Grid, estimates: Estimates) -> Estimates:
+        picked = grid.rows(estimates.time_ns)
+        means = []
+        start = 0
+        for end in (picked + 1).tolist():
+            rows = [*self._held, rows_of(estimates, np.arange(start, end))]
+            means.append(_mean(rows))
+            self._held, start = [], end
+        if start < len(estimates):
+            self._held.append(rows_of(estimates, np.arange(start, len(estimates))))
+        fields = Estimates.__dataclass_fields__
+        if not means:
+            return rows_of(estimates, np.zeros(0, dtype=np.intp))
+        return Estimates(*(np.concatenate([getattr(mean, name) for mean in means]) for name in fields))
+
+
+def _mean(parts: list[Estimates]) -> Estimates:
+    return Estimates(
+        parts[-1].time_ns[-1:],
+        np.concatenate([part.values for part in parts]).mean(axis=0, keepdims=True),
+        np.concatenate([part.sigma for part in parts]).mean(axis=0, keepdims=True),
+        np.bitwise_or.reduce(np.concatenate([part.quality for part in parts]), keepdims=True),
+    )

@@ -1,0 +1,181 @@
+"""The hot loop: samples when they come, every one into the state, an estimate at each publishing instant.
+
+Driven by data, in blocks as large as what has arrived; no tick of the host. When nothing comes, the last estimate is
+published on, marked stale.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from motorlens_runtime.estimator import Estimates, Estimator, EstimatorState
+from motorlens_runtime.feed import Feed
+from motorlens_runtime.gate import Samples
+from motorlens_runtime.outlet import Grid, Outlet
+from motorlens_runtime.quality import Quality
+from motorlens_runtime.recorder import Recorder
+from motorlens_runtime.sensor import Sensor
+
+_WAIT_S = 0.05
+# The stream may lie this far behind its own best before the PC counts as too slow.
+_BEHIND_NS = 250_000_000
+# A device's clock may drift this much against ours; the best is forgotten at this pace.
+_DRIFT = 5e-4
+_LATENCIES = 1 << 16
+
+
+@dataclass(frozen=True)
+class Settings:
+    """`rate_Hz` of publishing (0: every sample), `duration_s` (inf: until stopped), `stale_s` until a value is old."""
+
+    rate_Hz: float = 100.0
+    duration_s: float = float("inf")
+    stale_s: float = 0.25
+
+
+class Service:
+    """One sensor on one feed with its publishers.
+
+    Args:
+        feed, sensor, outlets, recorder: opened by the caller and closed by it.
+        settings: see `Settings`.
+        clock: nanoseconds that never run backwards.
+        state: where the estimator goes on; None is a fresh start.
+    """
+
+    def __init__(
+        self, feed: Feed, sensor: Sensor, outlets: Sequence[Outlet], recorder: Recorder | None, settings: Settings,
+        clock: Callable[[], int], state: EstimatorState | None = None,
+    ) -> None:  # fmt: skip
+        self._feed, self._sensor, self._outlets, self._recorder = feed, sensor, outlets, recorder
+        self._settings, self._clock, self._state = settings, clock, state
+        self._grid = Grid(settings.rate_Hz)
+        self._estimator: Estimator | None = None
+        self._period_s: float | None = None
+        self._samples = self._published = 0
+        self._first_ns: int | None = None
+        self._reasons = np.zeros(32, dtype=np.int64)
+        self._latency_ns = np.zeros(_LATENCIES)
+        self._blocks = 0
+        self._largest_block = 0
+        self._latest: Estimates | None = None
+        self._latest_arrival_ns = 0
+        self._stale_tick = 0
+        self._best_lag_ns: float | None = None
+        self._lag_at_ns = 0
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Until `stop()`, the end of the feed or the duration. Raises what the feed raises."""
+        started_ns = self._clock()
+        end_ns = started_ns + self._settings.duration_s * 1e9
+        while not stop() and not self._finished(end_ns):
+            samples = self._feed.read(_WAIT_S)
+            if samples is None:
+                return
+            if len(samples):
+                self.take(samples)
+            else:
+                self._stale()
+            if self._outlets and all(outlet.dead for outlet in self._outlets):
+                return
+
+    def take(self, samples: Samples) -> None:
+        """Samples into the state, estimates to the outlets."""
+        arrival_ns = self._feed.arrival_ns
+        estimator = self._current_estimator()
+        samples = self._judge_lag(samples, arrival_ns)
+        if self._recorder is not None:
+            self._recorder.put(samples)
+        if self._first_ns is None:
+            self._first_ns = int(samples.time_ns[0])
+        estimates = estimator.push(samples, self._grid.rows(samples.time_ns))
+        self._samples += len(samples)
+        self._largest_block = max(self._largest_block, len(samples))
+        self._latest_arrival_ns = arrival_ns
+        if len(estimates):
+            self._latest = estimates
+            self._hand_out(estimates)
+        self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
+        self._blocks += 1
+
+    def report(self) -> dict[str, Any]:
+        """Counters and latencies; `latency_us` is from the arrival of a block to its estimates being handed out."""
+        latencies = self._latency_ns[: min(self._blocks, _LATENCIES)] / 1000
+        shares = {"p50": 50, "p99": 99, "p999": 99.9, "max": 100}
+        feed = self._feed.report()
+        flagged = {
+            bit.name.lower(): int(self._reasons[bit.value.bit_length() - 1]) for bit in Quality if bit.name
+        }
+        return {
+            "schema": "motorlens.run/1",
+            "device": self._feed.device,
+            "samples": self._samples,
+            "lost": feed.get("lost_samples", 0),
+            "published": self._published,
+            "bridged": flagged["bridged"],
+            "largest_block": self._largest_block,
+            "latency_us": {k: float(np.percentile(latencies, q)) for k, q in shares.items()}
+            if len(latencies)
+            else None,
+            "quality": {name: count for name, count in flagged.items() if count},
+            "feed": feed,
+            "outlets": [vars(outlet.report()) for outlet in self._outlets],
+        }
+
+    @property
+    def estimator(self) -> Estimator | None:
+        """The estimator, None before the first sample."""
+        return self._estimator
+
+    def _current_estimator(self) -> Estimator:
+        """The estimator; a new one with the old state when the device has changed its rate."""
+        period_s = self._feed.period_s or 1 / self._sensor.specification.rate_Hz
+        if self._estimator is None or period_s != self._period_s:
+            state = self._state if self._estimator is None else self._estimator.state
+            self._estimator, self._period_s = Estimator(self._sensor, period_s, state), period_s
+        return self._estimator
+
+    def _finished(self, end_ns: float) -> bool:
+        if self._clock() >= end_ns:
+            return True
+        gate = None if self._estimator is None else self._estimator.state.gate
+        if gate is None or gate.last_ns is None or self._first_ns is None:
+            return False
+        return gate.last_ns - self._first_ns >= self._settings.duration_s * 1e9
+
+    def _hand_out(self, estimates: Estimates) -> None:
+        self._published += len(estimates)
+        for bit in range(32):
+            self._reasons[bit] += np.count_nonzero(estimates.quality & np.uint32(1 << bit))
+        for outlet in self._outlets:
+            outlet.put(estimates)
+
+    def _stale(self) -> None:
+        """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale."""
+        silence_ns = self._clock() - self._latest_arrival_ns
+        if self._latest is None or silence_ns < self._settings.stale_s * 1e9:
+            self._stale_tick = 0
+            return
+        rate = min(self._settings.rate_Hz, 10.0) if self._settings.rate_Hz > 0 else 10.0
+        tick = int(silence_ns * 1e-9 * rate)
+        if tick == self._stale_tick:
+            return
+        self._stale_tick = tick
+        last = self._latest
+        row = slice(len(last) - 1, len(last))
+        quality = last.quality[row] | np.uint32(Quality.STALE)
+        self._hand_out(Estimates(last.time_ns[row] + silence_ns, last.values[row], last.sigma[row], quality))
+
+    def _judge_lag(self, samples: Samples, arrival_ns: int) -> Samples:
+        """Mark samples that come later than the stream has shown it can."""
+        lag_ns = float(arrival_ns - int(samples.time_ns[-1]))
+        forgotten = _DRIFT * (arrival_ns - self._lag_at_ns)
+        self._lag_at_ns = arrival_ns
+        best = lag_ns if self._best_lag_ns is None else min(self._best_lag_ns + forgotten, lag_ns)
+        self._best_lag_ns = best
+        if lag_ns - best < _BEHIND_NS:
+            return samples
+        flags = np.zeros(len(samples), dtype=np.uint32) if samples.flags is None else samples.flags
+        return replace(samples, flags=flags | np.uint32(Quality.OVERLOAD))
