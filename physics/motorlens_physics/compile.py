@@ -1,8 +1,4 @@
-"""From symbols to machine code: a Rosenbrock step with analytic Jacobian, written out for one motor's structure.
-
-The step is RODAS of Hairer and Wanner (Solving Ordinary Differential Equations II, 2nd ed., 1996, section IV.10 and its
-code RODAS, METHOD=1): six stages, order 4 with an estimate of order 3, L-stable and stiffly accurate, so that R dt/L may
-be anything and L may be zero. The linear systems are solved by an elimination written out over the non-zero entries.
+"""From symbols to machine code: the step, the loop and the sensitivities of one motor's structure.
 
 Parameters are arguments, so one structure is compiled once. The generated source lies in a per-user cache folder, named
 after its content; numba keeps the machine code beside it, so other runs and processes find both.
@@ -14,7 +10,8 @@ import inspect
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -22,55 +19,94 @@ from typing import Any
 
 import sympy as sp
 
-from motorlens_physics import compile_loop
+from motorlens_physics import compile_loop, compile_variational
+from motorlens_physics.compile_rodas import ALPHA, GAMMA, GAMMAS, A, C, jacobian_of, step_source
 from motorlens_physics.symbols import INPUTS, LOAD, SIDE, System, named
 
-GAMMA = 0.25
-ALPHA = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)
-GAMMAS = (0.25, -0.1043, 0.1035, -0.03620000000000023, 0.0, 0.0)
-A = (
-    (),
-    (1.544,),
-    (0.9466785280815826, 0.2557011698983284),
-    (3.314825187068521, 2.896124015972201, 0.9986419139977817),
-    (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950),
-    (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950, 1.0),
-)
-C = (
-    (),
-    (-5.6688,),
-    (-2.430093356833875, -0.2063599157091915),
-    (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
-    (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160),
-    (8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054),
-)
-# The state in the middle of the step, from the stages (dense output at one half): y0/2 + y1/2 + sum of D_j k_j.
-D2 = (10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662)
-D3 = (-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872)
+_LINEAR = "linear(x, p, t, u, ahead, side, slots, a, g)"
+_HEAD = """import math
 
-_JIT = "@njit(cache=True, nogil=True, error_model='numpy', fastmath={'contract'})\n"
+import numpy as np
+from numba import boolean, float64, int64, njit, types
+
+Vector = Matrix = Any = object
+options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+v = float64[::1]
+m = float64[:, ::1]
+mm = float64[:, :, ::1]
+of_step = types.void(v, v, float64, v, float64, float64, float64, v, v, v)
+of_rest = types.UniTuple(float64, 3)(v, v, float64, v, float64)
+of_torque = float64(v, v, float64, v, float64, float64)
+of_linear = types.void(v, v, float64, v, float64, float64, int64[::1], m, m)
+"""
 
 
-def compiled(system: System) -> ModuleType:
-    """The module with the function `integrate` for this system (see `compile_loop`), from the cache if it is there."""
-    return _load(source(system))
+@dataclass(frozen=True)
+class Compiled:
+    """Machine code of a motor's structure."""
+
+    integrate: Callable[..., int]
+    functions: tuple[Any, ...]
+
+    def __call__(self, *arguments: Any) -> int:
+        """Run `compile_loop.integrate` with the functions of this structure."""
+        return self.integrate(*self.functions, *arguments)
+
+
+def compiled(system: System) -> Compiled:
+    """The machine code of a system, from the cache if it is there."""
+    own, loop = _load(source(system)), _load(loop_source())
+    return Compiled(loop.integrate, (own.step, own.rest, own.torque, own.linear))
 
 
 def source(system: System) -> str:
-    """The generated source of a system's module."""
-    loop = inspect.getsource(compile_loop).partition("# ---- compiled from here on ----\n")[2]
-    functions = [part.rstrip() + "\n" for part in ("\n" + loop).split("\ndef ")[1:]]
-    # Called functions first: numba compiles a function when its caller is compiled.
-    functions.sort(key=lambda text: text.startswith("integrate("))
-    constants = f"SHRINK, GROW, SAFETY = {compile_loop.SHRINK}, {compile_loop.GROW}, {compile_loop.SAFETY}\n"
-    pieces = [
-        "import math\n\nimport numpy as np\nfrom numba import njit\n\nVector = object",
-        constants + f"LOCATED, INDUCTANCE = {compile_loop.LOCATED}, {compile_loop.INDUCTANCE}",
-        *(_JIT + text for text in (_balances(system), _linearised(system), _step(system), _rest(system))),
-        *(_JIT + text for text in _variational(system)),
-        *(_JIT + "def " + text for text in functions),
+    """The generated source of a system: `step`, `rest`, `torque` and `linear`, with the arguments used in `compile_loop`.
+
+    step: one step of length h from x; y the new state, e the estimate of its error, z the state in the middle. u holds
+    voltage, load torque and ambient at t and, behind them, their slopes.
+    rest: torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead.
+    torque: right-hand side of the mechanical balance.
+    linear: Jacobian a (n, n) of the motor's own balances and forcings g (n, columns), the k-th going to column slots[k].
+    """
+    inner = [_balances(system), _linearised(system)]
+    outer = {
+        "of_step": _function("step(x, p, t, u, h, side, go, y, e, z)", step_source(system)),
+        "of_rest": _rest(system),
+        "of_torque": _torque(system),
+        "of_linear": _linear(system) if system.forcings else _function(_LINEAR, ["pass"]),
+    }
+    functions = [f"@njit(**options)\n{text}\n" for text in inner]
+    functions += [f"@njit({signature}, **options)\n{text}\n" for signature, text in outer.items()]
+    return "\n\n".join([_HEAD, *functions])
+
+
+@cache
+def loop_source() -> str:
+    """The source of the loop that all structures share."""
+    constants = [
+        f"SHRINK, GROW, SAFETY = {compile_loop.SHRINK}, {compile_loop.GROW}, {compile_loop.SAFETY}",
+        f"LOCATED, INDUCTANCE = {compile_loop.LOCATED}, {compile_loop.INDUCTANCE}",
+        f"SPEED, GAMMA = {compile_variational.SPEED}, {GAMMA}",
+        *(f"{name} = np.array({_square(rows)})" for name, rows in {"A": A, "C": C}.items()),
+        *(f"{name} = np.array({row})" for name, row in {"ALPHA": ALPHA, "GAMMAS": GAMMAS}.items()),
+        "of_work = types.Tuple((mm, mm, mm, m, int64[::1], m, mm, v))",
+        "pointers = [types.FunctionType(f) for f in (of_step, of_rest, of_torque, of_linear)]",
+        "of_integrate = int64(*pointers, v, m, boolean, boolean, v, v, v, v, float64, m, m, of_work, mm, mm)",
     ]
-    return "\n\n".join(pieces)
+    functions = [*_below_the_line(compile_variational), *_below_the_line(compile_loop)]
+    last = functions.pop(next(k for k, text in enumerate(functions) if text.startswith("def integrate(")))
+    decorated = [f"@njit(**options)\n{text}\n" for text in functions]
+    return "\n\n".join([_HEAD, *constants, *decorated, f"@njit(of_integrate, **options)\n{last}\n"])
+
+
+def _below_the_line(module: ModuleType) -> list[str]:
+    """The functions below the line in one of our modules."""
+    below = inspect.getsource(module).partition("# ---- compiled from here on ----\n")[2]
+    return ["def " + part.rstrip() for part in ("\n" + below).split("\ndef ")[1:]]
+
+
+def _square(rows: Sequence[Sequence[float]]) -> list[list[float]]:
+    return [[*row, *[0.0] * (len(rows) - len(row))] for row in rows]
 
 
 def _arguments(system: System) -> str:
@@ -108,21 +144,11 @@ def _balances(system: System) -> str:
     )
 
 
-def _jacobian(system: System) -> dict[tuple[int, int], Any]:
-    entries = {
-        (r, c): sp.diff(f, x)
-        for r, f in enumerate(system.balances)
-        for c, x in enumerate(system.x)
-        if f.has(x)
-    }
-    return {at: entry for at, entry in entries.items() if entry != 0}
-
-
 def _linearised(system: System) -> str:
     """Right-hand side, its Jacobian and its derivative with respect to time."""
     slopes = [sp.Symbol(f"d_{name}", real=True) for name in INPUTS]
     names = {f"f{j}": f for j, f in enumerate(system.balances)}
-    names |= {f"a{r}_{c}": entry for (r, c), entry in _jacobian(system).items()}
+    names |= {f"a{r}_{c}": entry for (r, c), entry in jacobian_of(system).items()}
     inputs = [named(f"u_{name}") for name in INPUTS]
     for j, f in enumerate(system.balances):
         along = sum(
@@ -133,110 +159,34 @@ def _linearised(system: System) -> str:
     return _function(head, [*_assigned(names, system), f"return {', '.join(names)},"])
 
 
-def _step(system: System) -> str:
-    n = len(system.states)
-    jacobian = _jacobian(system)
-    speed = system.states.index("w")
-    x = [str(symbol) for symbol in system.x]
-    lines = [f"{name} = x[{j}]" for j, name in enumerate(x)]
-    lines += [f"{p} = p[{k}]" for k, p in enumerate(system.p) if p in set(system.masses)]
-    lines += ["v, load, ambient, dv, dload, dambient = u"]
-    names = [*(f"f{j}" for j in range(n)), *(f"a{r}_{c}" for r, c in jacobian), *(f"ft{j}" for j in range(n))]
-    lines += [
-        f"{', '.join(names)} = linearised({', '.join(x)}, v, load, ambient, t, side, p, dv, dload, dambient)"
-    ]
-    # A resting rotor's row is emptied, so that its speed stays as it is.
-    lines += [f"a{r}_{c} *= go" for r, c in jacobian if r == speed]
-    lines += [f"f{speed} *= go", f"ft{speed} *= go", "r = 1.0 / h"]
-    lines += [f"m{j} = {mass} * r" if mass != 1 else f"m{j} = r" for j, mass in enumerate(system.masses)]
-    filled, elimination = _elimination(n, jacobian)
-    lines += elimination
-    for s in range(6):
-        if s > 0:
-            stage = [" + ".join([x[j], *(f"{a!r} * k{q}_{j}" for q, a in enumerate(A[s]))]) for j in range(n)]
-            ahead = f"{ALPHA[s]!r} * h"
-            inputs = f"v + {ahead} * dv, load + {ahead} * dload, ambient + {ahead} * dambient, t + {ahead}"
-            if s < 5:
-                lines += [f"y{j} = {stage[j]}" for j in range(n)]
-            else:
-                lines += [f"y{j} = y{j} + k4_{j}" for j in range(n)]
-            right = "".join(f"f{j}, " for j in range(n))
-            states = ", ".join(f"y{j}" for j in range(n))
-            lines += [f"{right} = balances({states}, {inputs}, side, p)"]
-            lines += [f"f{speed} *= go"]
-        for j in range(n):
-            history = " + ".join(f"{c!r} * k{q}_{j}" for q, c in enumerate(C[s]))
-            terms = [f"f{j}"]
-            terms += [f"m{j} * ({history})"] if history else []
-            terms += [f"{GAMMAS[s]!r} * h * ft{j}"] if GAMMAS[s] else []
-            lines += [f"k{s}_{j} = {' + '.join(terms)}"]
-        lines += _substitution(n, filled, f"k{s}_")
-    for j in range(n):
-        dense = [
-            f"{0.25 * (d2 + 0.5 * d3)!r} * k{q}_{j}" for q, (d2, d3) in enumerate(zip(D2, D3, strict=True))
-        ]
-        lines += [f"y[{j}] = y{j} + k5_{j}", f"e[{j}] = k5_{j}"]
-        lines += [f"z[{j}] = 0.5 * ({x[j]} + y{j} + k5_{j}) + {' + '.join(dense)}"]
-    return _function("step(x, p, t, u, h, side, go, y, e, z)", lines)
-
-
-def _elimination(
-    n: int, jacobian: dict[tuple[int, int], Any]
-) -> tuple[list[tuple[int, list[int], list[int]]], list[str]]:
-    """Gaussian elimination of M/(gamma h) - A over its non-zero entries: for each pivot its rows and columns; the code."""
-    pattern = set(jacobian) | {(j, j) for j in range(n)}
-    lines = [f"w{r}_{c} = -a{r}_{c}" for r, c in jacobian if r != c]
-    for j in range(n):
-        lines += [f"w{j}_{j} = {1 / GAMMA!r} * m{j}" + (f" - a{j}_{j}" if (j, j) in jacobian else "")]
-    left, filled = set(range(n)), []
-    while left:
-        # Markowitz: the pivot that fills least. The diagonal dominates for small steps, so no other pivots are needed.
-        costs = {
-            j: sum((r, j) in pattern for r in left - {j}) * sum((j, c) in pattern for c in left - {j})
-            for j in sorted(left)
-        }
-        pivot = min(costs, key=costs.__getitem__)
-        left -= {pivot}
-        rows = sorted(r for r in left if (r, pivot) in pattern)
-        columns = sorted(c for c in left if (pivot, c) in pattern)
-        lines += [f"i{pivot} = 1.0 / w{pivot}_{pivot}"]
-        for r in rows:
-            lines += [f"l{r}_{pivot} = w{r}_{pivot} * i{pivot}"]
-            for c in columns:
-                product = f"l{r}_{pivot} * w{pivot}_{c}"
-                lines += [f"w{r}_{c} = " + (f"w{r}_{c} - {product}" if (r, c) in pattern else f"-{product}")]
-                pattern |= {(r, c)}
-        filled.append((pivot, rows, columns))
-    return filled, lines
-
-
-def _substitution(n: int, filled: list[tuple[int, list[int], list[int]]], k: str) -> list[str]:
-    lines = [f"{k}{r} -= l{r}_{pivot} * {k}{pivot}" for pivot, rows, _ in filled for r in rows]
-    for pivot, _, columns in reversed(filled):
-        terms = "".join(f" - w{pivot}_{c} * {k}{c}" for c in columns)
-        lines += [f"{k}{pivot} = ({k}{pivot}{terms}) * i{pivot}"]
-    return lines
-
-
 def _rest(system: System) -> str:
     at_rest = {named("x_w"): sp.Integer(0), SIDE: sp.Integer(0)}
     torque = system.balances[system.states.index("w")].subs(at_rest)
+    outputs = {"torque": torque, "stiction": system.stiction.subs(at_rest)}
+    lines = [*_at(system), *_assigned(outputs, system), f"return torque, {LOAD}, stiction"]
+    return _function("rest(x, p, t, u, ahead)", lines)
+
+
+def _linear(system: System) -> str:
+    """Jacobian and forcings of the motor's own balances at a point of the trajectory."""
+    n = system.of_motor
+    outputs = {f"a[{r}, {c}]": entry for (r, c), entry in jacobian_of(system).items() if max(r, c) < n}
+    for k, forcing in enumerate(system.forcings.values()):
+        outputs |= {f"g[{r}, slots[{k}]]": entry for r, entry in enumerate(forcing) if entry != 0}
+    lines = [*_at(system), *_assigned(outputs, system)]
+    return _function(_LINEAR, lines)
+
+
+def _torque(system: System) -> str:
+    lines = [*_at(system), *_assigned({"torque": system.balances[system.states.index("w")]}, system)]
+    return _function("torque(x, p, t, u, ahead, side)", [*lines, "return torque"])
+
+
+def _at(system: System) -> list[str]:
+    """Lines that give names to states and inputs."""
     lines = [f"{x} = x[{j}]" for j, x in enumerate(system.x)]
     lines += [f"u_{name} = u[{j}] + u[{3 + j}] * ahead" for j, name in enumerate(INPUTS)]
-    lines += [
-        "u_t = t + ahead",
-        *_assigned({"torque": torque, "stiction": system.stiction.subs(at_rest)}, system),
-    ]
-    return _function("rest(x, p, t, u, ahead)", [*lines, f"return torque, {LOAD}, stiction"])
-
-
-def _variational(system: System) -> list[str]:
-    """The functions that carry sensitivities along; without forcings they do nothing."""
-    return [
-        _function("propagate(x, p, t, u, h, side, go, y, z, S, work)", ["pass"]),
-        _function("turn(y, p, t, u, h, side, then, S)", ["pass"]),
-        _function("keep(k, S, work, kept, matrices)", ["pass"]),
-    ]
+    return [*lines, "u_t = t + ahead"]
 
 
 @cache

@@ -1,7 +1,7 @@
 """The time loop: adaptive steps inside each sample, a rotor that rests, turns, stops and breaks away.
 
-This is ordinary Python that is compiled together with the generated step of a motor (see `compile.py`, which copies
-the functions below the line into the generated module); above the line stand the signatures of what is generated.
+This is ordinary Python that `compile` copies, below the line, into the module it compiles; the step of a motor is handed
+in as a function, so the loop is compiled once for all motors.
 
 At rest the load and the friction are sets: the load is a brake, its torque anything between 0 and T_load, and stiction
 anything between its two limits. The rotor rests while some choice of them balances the motor's torque, so a load never
@@ -23,50 +23,26 @@ LOCATED = 1e-9
 INDUCTANCE = 1
 
 
-def step(
-    x: Vector,
-    p: Vector,
-    t: float,
-    u: Vector,
-    h: float,
-    side: float,
-    go: float,
-    y: Vector,
-    e: Vector,
-    z: Vector,
-) -> None:
-    """One step of length h from x: y the new state, e the estimate of its error, z the state in the middle.
-
-    u holds voltage, load torque and ambient at t and, behind them, their slopes.
-    """
-    raise NotImplementedError
-
-
-def rest(x: Vector, p: Vector, t: float, u: Vector, ahead: float) -> tuple[float, float, float]:
-    """Torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead."""
+def begin_sample(work: Any) -> None:
+    """See `compile_variational`."""
     raise NotImplementedError
 
 
 def propagate(
-    x: Vector, p: Vector, t: float, u: Vector, h: float, side: float, go: float,
-    y: Vector, z: Vector, S: Vector, work: Vector,
+    linear: Any, x: Vector, p: Vector, t: float, u: Vector, h: float, side: float, go: float, y: Vector, z: Vector,
+    begin: float, end: float, S: Vector, work: Any,
 ) -> None:  # fmt: skip
-    """Carry the sensitivities S over the step from x through z to y."""
+    """See `compile_variational`."""
     raise NotImplementedError
 
 
-def turn(y: Vector, p: Vector, t: float, u: Vector, h: float, side: float, then: float, S: Vector) -> None:
-    """Carry the sensitivities over the instant at which a rotor that turned to `side` stops or turns to `then`."""
-    raise NotImplementedError
-
-
-def keep(k: int, S: Vector, work: Vector, kept: Vector, matrices: Vector) -> None:
-    """Keep the sensitivities at sample k."""
+def turn(ratio: float, S: Vector, work: Any) -> None:
+    """See `compile_variational`."""
     raise NotImplementedError
 
 
 # ---- compiled from here on ----
-def breaks_away(x: Vector, p: Vector, t: float, u: Vector, ahead: float) -> tuple[float, float]:
+def breaks_away(rest: Any, x: Vector, p: Vector, t: float, u: Vector, ahead: float) -> tuple[float, float]:
     """By how much the torque on a resting rotor exceeds what can hold it (N m), and which way it would turn."""
     with_load, load, stiction = rest(x, p, t, u, ahead)
     forwards = min(with_load, with_load + load) - stiction
@@ -88,15 +64,18 @@ def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> floa
 
 
 def integrate(
-    time: Vector, inputs: Vector, held: bool, smooth: bool, p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float,
-    out: Vector, S: Vector, work: Vector, kept: Vector, matrices: Vector,
+    step: Any, rest: Any, torque: Any, linear: Any, time: Vector, inputs: Vector, held: bool, smooth: bool,
+    p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float, out: Vector,
+    S: Vector, work: Any, kept: Vector, matrices: Vector,
 ) -> int:  # fmt: skip
     """Fill out[1:] from the state x at time[0]; return -1, or the sample after which no step was small enough.
 
-    `inputs` is (N, 3); `carry` keeps between calls the length of the next step, and counts accepted and rejected steps.
+    `step`, `rest`, `torque` and `linear` are the functions of `compile.source`. `inputs` is (N, 3). Sensitivities S are
+    carried along if there is a workspace (see `sensitivity`), and kept, with the matrices of each sample, where there is
+    room. `carry` keeps the length of the next step between calls, and counts accepted and rejected steps.
     """
     y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(6)
-    trial = carry[0]
+    trial, sensitive = carry[0], work[7].size > 0
     for k in range(time.size - 1):
         span = time[k + 1] - time[k]
         for j in range(3):
@@ -108,6 +87,8 @@ def integrate(
             for _ in range(3):
                 step(x, p, time[k], u, 1e-9 * span, 1.0, 0.0, y, e, z)
                 x[0] = y[0]
+        if sensitive:
+            begin_sample(work)
         past, released = 0.0, 0.0
         while past < span:
             t = time[k] + past
@@ -117,7 +98,7 @@ def integrate(
             if not smooth:
                 side = 1.0 if x[1] > 0.0 else -1.0
                 if x[1] == 0.0:
-                    excess, way = breaks_away(x, p, t, u, 0.0)
+                    excess, way = breaks_away(rest, x, p, t, u, 0.0)
                     side = way if excess > 0.0 else released
                     go = abs(side)
             left = span - past
@@ -135,25 +116,32 @@ def integrate(
                 continue
             then = side
             if side != 0.0 and y[1] * side < 0.0:
+                if x[1] == 0.0 and h > LOCATED * span:
+                    # The torque changes its direction within the step.
+                    trial = 0.1 * h
+                    continue
                 if x[1] == 0.0:
                     # It would turn against the torque that broke it away: rounding; it rests for this step.
                     go = 0.0
                     step(x, p, t, u, h, side, go, y, e, z)
                 else:
-                    h = stop(x, p, t, u, h, side, y, e, z)
-                    excess, way = breaks_away(y, p, t, u, h)
+                    h = stop(step, x, p, t, u, h, side, y, e, z)
+                    excess, way = breaks_away(rest, y, p, t, u, h)
                     then = way if excess > 0.0 else 0.0
             elif go == 0.0:
-                ends, way = breaks_away(y, p, t, u, h)
+                ends, way = breaks_away(rest, y, p, t, u, h)
                 if ends > 0.0 and excess == 0.0 and released == 0.0:
                     # Nothing holds it: it goes at once.
                     released = way
                     continue
                 if ends > 0.0:
-                    h = hold(x, p, t, u, h, excess, ends, y, e, z)
-            propagate(x, p, t, u, h, side, go, y, z, S, work)
-            if then != side:
-                turn(y, p, t, u, h, side, then, S)
+                    h = hold(step, rest, x, p, t, u, h, excess, ends, y, e, z)
+            end = 1.0 if h == left else (past + h) / span
+            if sensitive:
+                propagate(linear, x, p, t, u, h, side, go, y, z, past / span, end, S, work)
+                if then != side:
+                    after = torque(y, p, t, u, h, then) if then != 0.0 else 0.0
+                    turn(after / torque(y, p, t, u, h, side), S, work)
             x[:] = y
             released = 0.0
             carry[1] += 1.0
@@ -163,13 +151,25 @@ def integrate(
             # A step cut short by the end of a sample says nothing against the longer one that was planned.
             trial = max(grown, trial) if h < trial else grown
         out[k + 1] = x
-        keep(k + 1, S, work, kept, matrices)
+        if kept.size > 0:
+            kept[k + 1] = S
+        if matrices.size > 0:
+            matrices[k] = work[6][0]
     carry[0] = trial
     return -1
 
 
 def stop(
-    x: Vector, p: Vector, t: float, u: Vector, h: float, side: float, y: Vector, e: Vector, z: Vector
+    step: Any,
+    x: Vector,
+    p: Vector,
+    t: float,
+    u: Vector,
+    h: float,
+    side: float,
+    y: Vector,
+    e: Vector,
+    z: Vector,
 ) -> float:
     """Shorten a step in which the speed changes its sign so that it ends where the speed is zero; the new length."""
     # Regula falsi in the Illinois form, Dowell and Jarratt (1971), doi:10.1007/BF01934364.
@@ -193,6 +193,8 @@ def stop(
 
 
 def hold(
+    step: Any,
+    rest: Any,
     x: Vector,
     p: Vector,
     t: float,
@@ -212,7 +214,7 @@ def hold(
         # Keep off the ends, so that the bracket shrinks from both sides.
         h = min(max(h, before + 0.1 * LOCATED * after), after - 0.1 * LOCATED * after)
         step(x, p, t, u, h, 0.0, 0.0, y, e, z)
-        now, _ = breaks_away(y, p, t, u, h)
+        now, _ = breaks_away(rest, y, p, t, u, h)
         if now <= 0.0:
             before, excess = h, now
             ends *= 0.5 if last == 1 else 1.0

@@ -14,19 +14,36 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.compile import compiled
+from motorlens_physics.compile import Compiled, compiled
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
-from motorlens_physics.symbols import System, parameter_keys, parameter_values, trace
+from motorlens_physics.symbols import System, parameter_values, trace
 from motorlens_runtime.errors import DataError, ModelError
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6
+_EMPTY = np.zeros((0, 0, 0))
+# Where sensitivities would go: S, what they are worked out in, S at each sample, matrices of each sample.
+_NOTHING = (
+    np.zeros((0, 0)),
+    (
+        _EMPTY,
+        _EMPTY,
+        _EMPTY,
+        np.zeros((0, 0)),
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 0)),
+        _EMPTY,
+        np.zeros(0),
+    ),
+    _EMPTY,
+    _EMPTY,
+)
 
 
 @dataclass(frozen=True)
@@ -113,10 +130,10 @@ def simulate(
     Raises:
         ModelError: a state or parameter that is not finite or not there, or an integration that fails.
     """
-    system, module = structure(motor)
+    system, code = structure(motor)
     states = initial_states(motor, system, initial)
     out = np.empty((inputs.time_s.size, states.size))
-    run(module, motor, inputs, states, out, tolerance=tolerance, smooth=smooth)
+    run(system, code, motor, inputs, states, out, tolerance=tolerance, smooth=smooth)
     return Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(system.states)})
 
 
@@ -160,7 +177,7 @@ class Stepper:
         self, motor: Motor, initial: Mapping[str, float] | None = None, *, tolerance: float = TOLERANCE
     ) -> None:
         """Put the motor into its initial state (default: at rest, at ambient temperature)."""
-        self._system, self._module = structure(motor)
+        self._system, self._motor_code = structure(motor)
         self._x = initial_states(motor, self._system, initial)
         self._parameters = np.array(parameter_values(motor), dtype=np.float64)
         self._carry = np.array([np.inf, 0.0, 0.0])
@@ -185,7 +202,7 @@ class Stepper:
         time[0], time[1] = time[1], time[1] + dt
         self._inputs[:] = voltage, load, ambient
         self._scale = np.maximum(self._scale, _scales(self._motor, self._system, self._inputs, self._x))
-        failed = self._module.integrate(
+        failed = self._motor_code(
             time, self._inputs, True, False, self._parameters, self._x, self._carry, self._tolerance * self._scale,
             self._tolerance, self._out, *_NOTHING,
         )  # fmt: skip
@@ -195,13 +212,11 @@ class Stepper:
 
 
 def structure(
-    motor: Motor, candidates: Sequence[Effect] = (), sensitivity_keys: Sequence[str] = ()
-) -> tuple[System, ModuleType]:
-    """The symbols and the compiled module of a motor's structure; parameter values do not matter."""
+    motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = False
+) -> tuple[System, Compiled]:
+    """The symbols and the machine code of a motor's structure (see `trace`); parameter values do not matter."""
     return _structure(
-        tuple(type(effect) for effect in motor.effects),
-        tuple(type(effect) for effect in candidates),
-        tuple(sensitivity_keys),
+        tuple(type(effect) for effect in motor.effects), tuple(type(effect) for effect in candidates), forced
     )
 
 
@@ -216,7 +231,7 @@ def initial_states(motor: Motor, system: System, initial: Mapping[str, float] | 
     Raises:
         ModelError: an unknown name, or a value that is not finite.
     """
-    defaults = {name: 0.0 for name in system.states} | motor.states()
+    defaults = motor.states()
     given = {**defaults, **(initial or {})}
     unknown = [name for name in given if name not in defaults]
     if unknown:
@@ -228,7 +243,8 @@ def initial_states(motor: Motor, system: System, initial: Mapping[str, float] | 
 
 
 def run(
-    module: ModuleType,
+    system: System,
+    code: Compiled,
     motor: Motor,
     inputs: Inputs,
     x: Array,
@@ -237,29 +253,28 @@ def run(
     tolerance: float,
     smooth: bool,
     candidates: Sequence[Effect] = (),
-    workspace: tuple[Array, Array, Array, Array] | None = None,
+    workspace: tuple[Any, ...] = _NOTHING,
 ) -> None:
-    """Integrate into `out` (N, n) from the states x; `workspace` is what the sensitivities need."""
+    """Integrate into `out` (N, n) from the states x; `workspace` is what the sensitivities need.
+
+    Raises:
+        ModelError: a parameter that is not finite or not positive where it must be, or an integration that fails.
+    """
     parameters = np.array(parameter_values(motor, candidates), dtype=np.float64)
-    keys = parameter_keys(motor, candidates)
     if not np.isfinite(parameters).all():
-        raise ModelError(f"{keys[int(np.argmin(np.isfinite(parameters)))]} is not finite")
-    for name in ("J", "H"):
+        raise ModelError(f"{system.keys[int(np.argmin(np.isfinite(parameters)))]} is not finite")
+    for name in ("R_a0", "J", "H"):
         if getattr(motor, name) <= 0:
             raise ModelError(f"{name} = {getattr(motor, name):g}: must be positive")
-    system, _ = structure(motor, candidates)
     stacked = np.column_stack([inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C])
     atol = tolerance * _scales(motor, system, stacked, x)
     out[0] = x
-    failed = module.integrate(
+    failed = code(
         inputs.time_s, stacked, inputs.held, smooth, parameters, x.copy(), np.array([np.inf, 0.0, 0.0]), atol,
-        tolerance, out, *(workspace or _NOTHING),
+        tolerance, out, *workspace,
     )  # fmt: skip
     if failed >= 0:
         raise ModelError(_failure(inputs.time_s[failed], system, out[failed]))
-
-
-_NOTHING = (np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
 
 
 def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:
@@ -284,8 +299,8 @@ def _failure(time: float, system: System, x: Array) -> str:
 
 @cache
 def _structure(
-    effects: tuple[type[Effect], ...], candidates: tuple[type[Effect], ...], sensitivity_keys: tuple[str, ...]
-) -> tuple[System, ModuleType]:
+    effects: tuple[type[Effect], ...], candidates: tuple[type[Effect], ...], forced: bool
+) -> tuple[System, Compiled]:
     motor = Motor(effects=tuple(effect() for effect in effects))
-    system = trace(motor, [effect() for effect in candidates], sensitivity_keys)
+    system = trace(motor, [effect() for effect in candidates], forced=forced)
     return system, compiled(system)

@@ -46,7 +46,7 @@ class System:
         balances: right-hand side of each state's equation, before division by its mass.
         stiction: torque that holds a resting rotor, in N m.
         of_motor: how many of `states` are the motor's own.
-        forcings: for each sensitivity key, the derivative of the motor's own balances with respect to it.
+        forcings: for each of `forcing_keys`, what enters the motor's own balances per unit of it; empty if not asked for.
     """
 
     states: tuple[str, ...]
@@ -73,7 +73,7 @@ class System:
         return tuple(named(f"p_{k}") for k in range(len(self.keys)))
 
 
-def trace(motor: Motor, candidates: Sequence[Effect] = (), sensitivity_keys: Sequence[str] = ()) -> System:
+def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = False) -> System:
     """The equations of a motor, and the forcings of its sensitivities.
 
     A candidate stands in the equations at its null: its states run along, driven by the motor, and it acts on nothing;
@@ -82,7 +82,7 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), sensitivity_keys: Seq
     Args:
         motor: the structure; its parameters' values do not matter.
         candidates: effects that the motor lacks.
-        sensitivity_keys: keys of parameters, such as "R_a0" or "coulomb_friction.tau_c", of motor or candidates.
+        forced: whether to derive the forcings, of all parameters of the motor that are not fixed and all switches.
     """
     keys = parameter_keys(motor, candidates)
     symbol = {key: named(f"p_{k}") for k, key in enumerate(keys)}
@@ -97,21 +97,33 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), sensitivity_keys: Seq
     rates = whole.rates(x, u)
     balances = [voltage, torque, heat, *(sp.sympify(rates[name]) for name in states[3:])]
 
-    at_null = {
-        symbol[f"{effect.name()}.{effect.switch().name}"]: sp.Float(effect.switch().null)
-        for effect in candidates
+    at_null = {symbol[switch_key(effect)]: sp.Float(effect.switch().null) for effect in candidates}
+    of_motor = len(motor.states())
+    forcings = {
+        key: tuple(sp.diff(f, symbol[key]).subs(at_null) for f in balances[:of_motor])
+        for key in (forcing_keys(motor, candidates) if forced else ())
     }
-    own = balances[: len(motor.states())]
-    forcings = {key: tuple(sp.diff(f, symbol[key]).subs(at_null) for f in own) for key in sensitivity_keys}
+    balances = [f.subs(at_null) for f in balances]
+    for state, mass in MASSES.items() if forced else ():
+        # The mass stands before the derivative: d(M x')/dM adds -x'. Without inductance there is no such derivative.
+        row, m = states.index(state), symbol[mass]
+        rate = sp.Piecewise((balances[row] / m, m > 0), (0, True)) if mass == "L" else balances[row] / m
+        forcings[mass] = tuple(f - rate if r == row else f for r, f in enumerate(forcings[mass]))
     stiction = sum((effect.stiction(whole, x, u) for effect in whole.effects), start=sp.Integer(0))
-    return System(
-        states=states,
-        keys=keys,
-        balances=tuple(f.subs(at_null) for f in balances),
-        stiction=sp.sympify(stiction).subs(at_null),
-        of_motor=len(own),
-        forcings=forcings,
-    )
+    return System(states, keys, tuple(balances), sp.sympify(stiction).subs(at_null), of_motor, forcings)
+
+
+def switch_key(effect: Effect) -> str:
+    """The key of the parameter that switches an effect on."""
+    return f"{effect.name()}.{effect.switch().name}"
+
+
+def forcing_keys(motor: Motor, candidates: Sequence[Effect] = ()) -> tuple[str, ...]:
+    """Keys of all parameters whose sensitivities can be had: the motor's that are not fixed, the candidates' switches."""
+    own = [name for name, parameter in parameters(motor).items() if not parameter.fixed]
+    for effect in motor.effects:
+        own += [f"{effect.name()}.{name}" for name, p in effect.parameters().items() if not p.fixed]
+    return (*own, *(switch_key(effect) for effect in candidates))
 
 
 def parameter_keys(motor: Motor, candidates: Sequence[Effect] = ()) -> tuple[str, ...]:

@@ -1,0 +1,205 @@
+"""Sensitivities of a trajectory to parameters, initial states and effects it lacks, in one forward pass.
+
+Internal differentiation along the accepted steps of the simulation (Bock 1981, doi:10.1007/978-3-642-68220-9_8), here of
+the variational equations, see `compile_variational`. Where the rotor stops or turns, the jump of the sensitivities is
+taken into account; what rests does not respond.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.motor import Motor
+from motorlens_physics.simulation import TOLERANCE, Array, Inputs, Trajectory, initial_states, run, structure
+from motorlens_physics.symbols import MASSES, forcing_keys, parameter_keys, switch_key
+from motorlens_runtime.errors import ModelError
+
+INITIAL = "initial."
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The motor along a trajectory as a linear system: how small forcings of its balances move its states.
+
+    Attributes:
+        states: names of the n states.
+        matrices: (N - 1, n, 3 n): from sample k to k + 1, Phi and the Gammas of a forcing at the one and at the other.
+        held: whether the inputs of the trajectory were held between samples.
+    """
+
+    states: tuple[str, ...]
+    matrices: Array
+    held: bool
+
+    def respond(
+        self,
+        voltage_V: Array | None = None,
+        torque_Nm: Array | None = None,
+        heat_W: Array | None = None,
+        *,
+        held: bool = False,
+    ) -> dict[str, Array]:
+        """Response of each state, (N, m), to forcings (N, m) that enter the balances, from rest of the perturbation.
+
+        Args:
+            voltage_V: added to L di/dt.
+            torque_Nm: added to J dw/dt; positive drives forward.
+            heat_W: added to H dtheta/dt.
+            held: whether forcings hold from sample to sample; otherwise they run linearly.
+        """
+        given = {0: voltage_V, 1: torque_Nm, 2: heat_W}
+        shapes = {np.shape(forcing) for forcing in given.values() if forcing is not None}
+        samples = len(self.matrices) + 1
+        if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or shape[0] != samples:
+            raise ModelError(f"respond: forcings must all be ({samples}, m), one for each sample")
+        forcing = np.zeros((samples, 3, shape[1]))
+        for row, values in given.items():
+            if values is not None:
+                forcing[:, row] = values
+        response = _respond(self.matrices, forcing, held)
+        return {name: response[:, j] for j, name in enumerate(self.states)}
+
+
+def linearise(
+    motor: Motor,
+    inputs: Inputs,
+    initial: Mapping[str, float] | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+    smooth: bool = False,
+) -> tuple[Trajectory, Linearisation]:
+    """Simulate, and linearise along the way.
+
+    Raises:
+        ModelError: as `simulate`.
+    """
+    n = len(motor.states())
+    matrices = np.empty((max(inputs.time_s.size - 1, 1), n, 3 * n))[: inputs.time_s.size - 1]
+    trajectory, _ = _forward(motor, inputs, initial, (), (), tolerance, smooth, matrices)
+    return trajectory, Linearisation(tuple(trajectory.states), matrices, inputs.held)
+
+
+def sensitivities(
+    motor: Motor,
+    inputs: Inputs,
+    initial: Mapping[str, float] | None,
+    keys: Sequence[str],
+    candidates: Sequence[Effect] = (),
+    *,
+    tolerance: float = TOLERANCE,
+    smooth: bool = False,
+) -> tuple[Trajectory, dict[str, dict[str, Array]]]:
+    """Simulate, and differentiate all states with respect to parameters, initial states and effects at their null.
+
+    Args:
+        motor: the motor.
+        inputs: what acts on it.
+        initial: initial states, as of `simulate`.
+        keys: parameters of the motor ("R_a0", "coulomb_friction.tau_c") and initial states ("initial.theta").
+        candidates: effects that the motor lacks, with their shapes chosen; their switches are taken at null.
+        tolerance: of the simulation's steps.
+        smooth: whether friction is smooth, see `simulate`.
+
+    Returns:
+        The trajectory, and for each key and each candidate's "name.switch" a mapping of state to (N,).
+
+    Raises:
+        ModelError: an unknown or fixed parameter, a candidate that the motor has already, or as `simulate`.
+    """
+    taken = [effect.name() for effect in candidates if motor.effect(effect.name()) is not None]
+    if taken:
+        raise ModelError(f"candidate {taken[0]!r} is in the motor already")
+    columns = (*keys, *(switch_key(effect) for effect in candidates))
+    trajectory, kept = _forward(
+        motor, inputs, initial, keys, candidates, tolerance, smooth, np.empty((0, 0, 0))
+    )
+    states = tuple(motor.states())
+    return trajectory, {
+        key: {name: kept[:, r, j] for r, name in enumerate(states)} for j, key in enumerate(columns)
+    }
+
+
+def _forward(
+    motor: Motor,
+    inputs: Inputs,
+    initial: Mapping[str, float] | None,
+    keys: Sequence[str],
+    candidates: Sequence[Effect],
+    tolerance: float,
+    smooth: bool,
+    matrices: Array,
+) -> tuple[Trajectory, Array]:
+    system, code = structure(motor, candidates, forced=True)
+    x = initial_states(replace(motor, effects=(*motor.effects, *candidates)), system, initial)
+    n, samples = system.of_motor, inputs.time_s.size
+    own = list(motor.states())
+    parameters = [key for key in keys if not key.startswith(INITIAL)]
+    starts = [key for key in keys if key.startswith(INITIAL)]
+    _check(motor, candidates, parameters, [key.removeprefix(INITIAL) for key in starts])
+    forced = [*parameters, *(switch_key(effect) for effect in candidates)]
+    order = [*forced, *starts]
+    available = forcing_keys(motor, candidates)
+    # Forcings nobody asked for go to a column behind the others.
+    place = {key: k for k, key in enumerate(forced)}
+    slots = np.array([place.get(key, len(forced)) for key in available], dtype=np.int64)
+
+    masses = np.array([getattr(motor, MASSES[name]) if name in MASSES else 1.0 for name in own])
+    S = np.zeros((n, len(order)))
+    for k, key in enumerate(starts, start=len(forced)):
+        S[own.index(key.removeprefix(INITIAL)), k] = 1.0
+    kept = np.empty((samples, n, len(order))) if order else np.empty((0, 0, 0))
+    if order:
+        kept[0] = S
+    total = np.zeros((2, n, 3 * n) if matrices.size else (0, 0, 0))
+    work = (
+        np.zeros((5, n, n)), np.zeros((3, n, len(forced) + 1)), np.zeros((7, n, 4 * n)), np.zeros((n, 4 * n)), slots,
+        np.zeros(S.shape), total, masses,
+    )  # fmt: skip
+    out = np.empty((samples, len(system.states)))
+    run(
+        system, code, motor, inputs, x, out, tolerance=tolerance, smooth=smooth, candidates=candidates,
+        workspace=(S, work, kept, matrices),
+    )  # fmt: skip
+    trajectory = Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(own)})
+    asked = [*keys, *(switch_key(effect) for effect in candidates)]
+    if asked == order:
+        return trajectory, kept
+    picked: NDArray[np.float64] = kept[:, :, [order.index(key) for key in asked]]
+    return trajectory, picked
+
+
+def _check(motor: Motor, candidates: Sequence[Effect], parameters: list[str], starts: list[str]) -> None:
+    available = forcing_keys(motor, candidates)
+    for key in parameters:
+        if key not in available:
+            why = "is fixed" if key in parameter_keys(motor, candidates) else "is not there"
+            raise ModelError(f"sensitivity to {key!r}: the parameter {why}; there are {', '.join(available)}")
+    for name in starts:
+        if name not in motor.states():
+            raise ModelError(
+                f"sensitivity to {INITIAL + name!r}: the motor's states are {', '.join(motor.states())}"
+            )
+
+
+def _respond_plain(matrices: Array, forcing: Array, held: bool) -> Array:
+    n, columns = matrices.shape[1], forcing.shape[2]
+    response = np.zeros((matrices.shape[0] + 1, n, columns))
+    for k in range(matrices.shape[0]):
+        later = k if held else k + 1
+        for r in range(n):
+            for c in range(n):
+                phi = matrices[k, r, c]
+                for j in range(columns):
+                    response[k + 1, r, j] += phi * response[k, c, j]
+            for c in range(3):
+                first, last = matrices[k, r, n + c], matrices[k, r, 2 * n + c]
+                for j in range(columns):
+                    response[k + 1, r, j] += first * forcing[k, c, j] + last * forcing[later, c, j]
+    return response
+
+
+_respond = njit(cache=True, nogil=True)(_respond_plain)
