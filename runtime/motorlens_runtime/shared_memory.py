@@ -1,4 +1,4 @@
-"""The newest estimates in shared memory, for a control process beside the runtime: a ring of rows, written by one, read by many.
+"""The newest estimates in shared memory, for a control process beside the runtime: a ring of rows, one writer, many readers.
 
     from motorlens_runtime.shared_memory import Reader
     reader = Reader("/dev/shm/motorlens")

@@ -1,7 +1,7 @@
-"""`mqtt://127.0.0.1:1883?device=press-7`: a Homie 5 device that controllers discover by themselves. Needs the extra `publish`.
+"""`mqtt://127.0.0.1:1883?device=press-7`: a Homie 5 device that controllers find by themselves. Needs the extra `publish`.
 
-`homie/5/DEVICE/$description` says what there is, `$state` whether it lives (its last will is "lost"), `motor/speed` and so on
-hold the newest value, `motor/quality` the OPC UA name of its status, `$alert/NAME` each alarm that is on. Beside it,
+`homie/5/DEVICE/$description` says what there is, `$state` whether it lives (its last will is "lost"), `motor/speed` and the
+others hold the newest value, `motor/quality` the OPC UA name of its status, `$alert/NAME` each alarm that is on. Beside it,
 `motorlens/DEVICE/estimates` has every row as JSON, as in `jsonl`, and `motorlens/DEVICE/events` the events.
 Source: the Homie convention 5 (homieiot.github.io).
 

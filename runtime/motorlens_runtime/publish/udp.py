@@ -1,10 +1,11 @@
-"""`udp://127.0.0.1:9870`: each row as one JSON datagram, flat, with `timestamp` in seconds, as PlotJuggler's UDP server reads it.
+"""`udp://127.0.0.1:9870`: each row as one flat JSON datagram with `timestamp` in seconds, as PlotJuggler reads it.
 
 Nothing waits: a datagram that does not fit into the socket's buffer is dropped and counted.
 """
 
 import json
 import socket
+from typing import Any
 from urllib.parse import SplitResult
 
 from motorlens_runtime.errors import DeviceError
@@ -30,7 +31,7 @@ def open_url(url: SplitResult, header: Header) -> "UdpPublisher":
 class UdpPublisher:
     """Sends to an address. `dropped` counts rows that could not be sent at once."""
 
-    def __init__(self, out: socket.socket, address: tuple[str | int, ...], header: Header) -> None:
+    def __init__(self, out: socket.socket, address: Any, header: Header) -> None:
         self._socket = out
         self._socket.setblocking(False)
         self._address = address

@@ -1,6 +1,6 @@
-"""`can://can0?dialect=can&dbc=drive.dbc&voltage=Drive.Voltage&current=Drive.Current`: a CAN interface of Linux, only listened to.
+"""`can://can0?dialect=can&dbc=drive.dbc&voltage=Drive.Voltage&current=Drive.Current`: a CAN interface of Linux.
 
-What the frames mean is the dialect's; option `fd=1` where the bus speaks CAN FD.
+It is only listened to. What the frames mean is the dialect's; option `fd=1` where the bus speaks CAN FD.
 """
 
 import select
