@@ -36,7 +36,7 @@ def _inputs(n: int) -> np.ndarray:
     [
         {},
         SMOOTH,
-        {"shaft_k": 5.0, "shaft_c": 0.01, "shaft_gap": 0.1, "shaft_share": 0.4},
+        {"shaft_k": 5.0, "shaft_c": 0.5, "shaft_gap": 0.1, "shaft_share": 0.4},
         {"bristle_k": 0.05, "bristle_tau": 0.03},
     ],
     ids=["textbook", "everything", "backlash", "presliding"],
@@ -46,7 +46,7 @@ def test_agrees_with_lsoda(hidden: dict[str, float]) -> None:
     dt, inputs = 1e-3, _inputs(1001)
     x0 = plant.rest(30.0, 20.0, 15.0)
     x0[plant.W] = 20.0
-    ours = plant.simulate(dt, inputs, x0, p, substeps=16)
+    ours = plant.simulate(dt, inputs, x0, p, substeps=64)
     grid = np.arange(len(inputs)) * dt
 
     def right_hand_side(t: float, x: np.ndarray) -> np.ndarray:
@@ -60,17 +60,18 @@ def test_agrees_with_lsoda(hidden: dict[str, float]) -> None:
     ).y.T
     assert (ours[:, plant.W] > 1.0).all()  # one way only: LSODA knows no stiction
     scale = np.abs(theirs).max(axis=0) + 1e-9
-    # A backlash has corners in the torsion that no integrator's order survives.
-    tolerance = 1e-4 if "shaft_gap" in hidden else 1e-6
-    assert np.abs((ours - theirs) / scale).max() < tolerance
+    # A backlash has corners that cost both integrators their order.
+    tolerance = 1e-5 if "shaft_gap" in hidden else 1e-6
+    worst = np.abs((ours - theirs) / scale).max(axis=0)
+    assert worst.max() < tolerance, worst
 
 
 def test_order_of_convergence_is_three() -> None:
-    p = plant.vector(**MOTOR.textbook, brush_V=0.5, brush_i=0.5, drag=3e-7)
+    p = plant.vector(**MOTOR.textbook, drag=3e-7, reaction=5e-4)
     x0 = plant.rest()
     x0[plant.W] = 20.0
     inputs = _inputs(401)
-    runs = [plant.simulate(2.5e-3, inputs, x0, p, k)[:, plant.I] for k in (4, 8, 16, 128)]
+    runs = [plant.simulate(2.5e-3, inputs, x0, p, k)[:, plant.I] for k in (16, 32, 64, 512)]
     coarse, middle, fine = (np.abs(run - runs[-1]).max() for run in runs[:3])
     assert 6.5 < coarse / middle < 9.5 and 6.5 < middle / fine < 9.5
 
@@ -130,7 +131,7 @@ def test_energy_in_is_energy_stored_and_lost() -> None:
     )  # fmt: skip
     stored = np.array([0.5 * m["L"] * i[k] ** 2 + 0.5 * m["J"] * w[k] ** 2 for k in (0, -1)])
     put_in, lost = simpson(power_in, dx=dt), simpson(loss, dx=dt)
-    assert put_in > 50
+    assert put_in > 20
     assert abs(put_in - lost - (stored[1] - stored[0])) < 1e-6 * put_in
 
 
@@ -191,7 +192,9 @@ def test_detectable_size_grows_with_the_noise() -> None:
 
 
 def test_the_same_case_gives_the_same_files_and_another_seed_others(tmp_path: Path) -> None:
-    case = next(case for case in draw("subset", 60, small=True) if case.kind == "none" and case.records == "fast")
+    case = next(
+        case for case in draw("subset", 60, small=True) if case.kind == "none" and case.records == "fast"
+    )
     one, two = (generate(case, tmp_path / name) for name in "ab")
     assert one.recordings[0].read_bytes() == two.recordings[0].read_bytes()
     from dataclasses import replace
@@ -207,7 +210,9 @@ def test_a_plan_holds_every_effect_and_the_shares_asked_for() -> None:
     singles = {hidden for case in cases if case.kind == "single" for hidden in case.hidden}
     names = (*hidden_effects.CATALOGUE, *hidden_effects.SENSOR_NAMES)
     assert singles == {(name, factor) for name in names for factor in (1.0, 3.0, 10.0)}
-    assert {name for case in cases if case.kind == "outside" for name, _ in case.hidden} == set(hidden_effects.OUTSIDE)
+    assert {name for case in cases if case.kind == "outside" for name, _ in case.hidden} == set(
+        hidden_effects.OUTSIDE
+    )
     assert not {case.seed for case in cases} & {case.seed for case in draw("dev", 400)}
 
 

@@ -1,0 +1,203 @@
+"""The blind benchmark of `motorlens diagnose`: recordings with a hidden effect, whose key is opened after the diagnosis.
+
+    python benchmarks/hidden_effects.py seal                                   prints the hashes of the plans
+    python benchmarks/hidden_effects.py generate --split dev --n 400 -o DIR    recordings, and key.jsonl beside them
+    python benchmarks/hidden_effects.py run --split dev --n 400 -o DIR         generates, diagnoses and deletes, resumable
+    python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy (plain, weak), residual whiteness
+    python benchmarks/hidden_effects.py score DIR                              opens the key, prints the rates
+
+The plan of a split follows from its seed; its SHA-256 was committed in hidden_effects/keys.sha256 before the diagnosing code
+was tuned. dev is for tuning; test is run once per release. `--small` draws another plan with short records (20 s at
+500 Hz, 1 to 3 h at 1 Hz) for tuning in minutes.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent / "tests"), str(HERE)]
+
+from helpers.hidden import Case, draw, generate  # noqa: E402
+
+SEALED = (("dev", 400, False), ("dev", 200, True), ("test", 1200, False), ("subset", 60, True))
+
+
+def plan_text(split: str, n: int, small: bool) -> str:
+    """The plan of a split, one case a line."""
+    return "".join(json.dumps(case.as_json(), sort_keys=True) + "\n" for case in draw(split, n, small))
+
+
+def seal() -> str:
+    """The lines of keys.sha256: the hash of every plan, and that of the generator's source at the time."""
+    lines = []
+    for split, n, small in SEALED:
+        name = f"plan-{split}-{n}{'-small' if small else ''}"
+        lines.append(f"{hashlib.sha256(plan_text(split, n, small).encode()).hexdigest()}  {name}")
+    return "\n".join(lines) + "\n"
+
+
+def source_hash() -> str:
+    """SHA-256 over the generator's files, in order of name."""
+    digest = hashlib.sha256()
+    for path in sorted((HERE.parent / "tests" / "helpers" / "hidden").glob("*.py")):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def command(paths: Iterable[Path], motor: Path, answer: Path) -> list[str]:
+    """The diagnosis as a user calls it."""
+    return [
+        sys.executable,
+        "-m",
+        "motorlens_runtime.cli",
+        "diagnose",
+        *map(str, paths),
+        "--motor",
+        str(motor),
+        "--json",
+        str(answer),
+    ]
+
+
+def one(case: Case, out: str, keep: bool, limit_s: float) -> dict[str, Any]:
+    """Generate a case, diagnose it, and return the answer; the truth goes to its own file, unread until `score`."""
+    directory = Path(out)
+    with tempfile.TemporaryDirectory(prefix="hidden-") as scratch:
+        place = directory / case.id if keep else Path(scratch)
+        made = generate(case, place)
+        (directory / "key").mkdir(exist_ok=True)
+        (directory / "key" / f"{case.id}.json").write_text(json.dumps(made.truth), encoding="utf-8")
+        answer = place / "diagnosis.json"
+        start = time.monotonic()
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        row: dict[str, Any] = {"id": case.id}
+        try:
+            done = subprocess.run(
+                command(made.recordings, made.motor, answer), capture_output=True, text=True, timeout=limit_s,
+                env=environment, check=False,
+            )  # fmt: skip
+            row |= {"status": done.returncode, "stderr": done.stderr[-2000:] if done.returncode else ""}
+            row["answer"] = _slim(json.loads(answer.read_text(encoding="utf-8"))) if answer.exists() else None
+        except subprocess.TimeoutExpired:
+            row |= {"status": -1, "stderr": f"no answer within {limit_s:.0f} s", "answer": None}
+        row["seconds"] = time.monotonic() - start
+    return row
+
+
+def _slim(answer: dict[str, Any]) -> dict[str, Any]:
+    """The answer without its curves, which fill the disk."""
+    shape = answer.get("unknown_shape")
+    if isinstance(shape, dict):
+        answer["unknown_shape"] = {key: value for key, value in shape.items() if not isinstance(value, list)}
+    return answer
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Diagnose the cases that have no answer yet; answers are appended as they come."""
+    if arguments.split == "test" and not arguments.open_test:
+        raise SystemExit("the test split is run once per release: add --open-test")
+    directory = Path(arguments.output)
+    directory.mkdir(parents=True, exist_ok=True)
+    answers = directory / "answers.jsonl"
+    done = {row["id"] for row in read_lines(answers)}
+    cases = [case for case in chosen(arguments) if case.id not in done]
+    begun = time.monotonic()
+    with answers.open("a", encoding="utf-8") as file:
+        for number, row in enumerate(
+            in_parallel(one, cases, arguments.jobs, str(directory), arguments.keep, arguments.limit), 1
+        ):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            left = (time.monotonic() - begun) / number * (len(cases) - number)
+            verdict = (row["answer"] or {}).get("verdict", "failed")
+            print(
+                f"{number}/{len(cases)} {row['id']} {verdict} {row['seconds']:.0f} s, {left / 60:.0f} min left",
+                file=sys.stderr,
+            )
+
+
+def in_parallel(
+    work: Callable[..., dict[str, Any]], cases: list[Case], jobs: int, *rest: Any
+) -> Iterator[dict[str, Any]]:
+    """Results of work(case, *rest), as many at a time as `jobs`."""
+    if jobs == 1:
+        yield from (work(case, *rest) for case in cases)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        yield from pool.map(work, cases, *([value] * len(cases) for value in rest))
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """The rows of a file of JSON lines; none if it is not there."""
+    return (
+        [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+    )
+
+
+def chosen(arguments: argparse.Namespace) -> list[Case]:
+    """The cases that the command line asks for."""
+    cases = draw(arguments.split, arguments.n, arguments.small)
+    if arguments.only:
+        cases = [case for case in cases if case.id in arguments.only]
+    return cases[:: arguments.every]
+
+
+def make(arguments: argparse.Namespace) -> None:
+    """Write recordings and the key."""
+    directory = Path(arguments.output)
+    directory.mkdir(parents=True, exist_ok=True)
+    with (directory / "key.jsonl").open("a", encoding="utf-8") as key:
+        for case in chosen(arguments):
+            made = generate(case, directory / case.id)
+            key.write(json.dumps({"id": case.id} | made.truth) + "\n")
+            print(case.id, *(path.name for path in made.recordings), file=sys.stderr)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="12 short cases, diagnosed and scored (for make bench)"
+    )
+    actions = parser.add_subparsers(dest="action")
+    actions.add_parser("seal")
+    for name in ("generate", "run", "baselines"):
+        action = actions.add_parser(name)
+        action.add_argument("--split", choices=("dev", "test", "subset"), default="dev")
+        action.add_argument("--n", type=int, default=400)
+        action.add_argument("--small", action="store_true", help="short records")
+        action.add_argument("--only", nargs="*", help="ids of cases")
+        action.add_argument("--every", type=int, default=1, help="every k-th case only")
+        action.add_argument("-o", "--output", required=True)
+        if name != "generate":
+            action.add_argument("--jobs", type=int, default=1)
+            action.add_argument("--limit", type=float, default=300.0, help="seconds a diagnosis may take")
+            action.add_argument("--keep", action="store_true", help="keep the recordings")
+            action.add_argument("--open-test", action="store_true")
+    action = actions.add_parser("score")
+    action.add_argument("directory")
+    action.add_argument("--failures", help="write the failing cases to this Markdown file")
+    arguments = parser.parse_args()
+    if arguments.action == "seal":
+        print(seal(), end="")
+        print(f"{source_hash()}  generator")
+    elif arguments.action == "generate":
+        make(arguments)
+    elif arguments.action == "run":
+        run(arguments)
+
+
+if __name__ == "__main__":
+    main()
