@@ -52,27 +52,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    import numpy as np
-
+    from motorlens_firmware_sim.bench import Setup, prepare
     from motorlens_firmware_sim.port import PtyPort
-    from motorlens_firmware_sim.telemetry import drive_for, sendings
-    from motorlens_physics.motor_file import read_motor_file
+    from motorlens_firmware_sim.telemetry import sendings
     from motorlens_physics.recording import write_recording
-    from motorlens_physics.scenario import chosen_scenario, measure, parse_noise, perform
 
-    if not 1 <= arguments.rate <= 100_000:
-        raise DataError(f"--rate {arguments.rate}: between 1 and 100000")
-    if arguments.speedup <= 0 or arguments.rows_per_frame < 1 or not 8 <= arguments.bits <= 16:
-        raise DataError("--speedup is above 0, --rows-per-frame at least 1, --bits between 8 and 16")
-    file = read_motor_file(arguments.motor)
-    rng = np.random.default_rng(arguments.seed)
-    scenario = chosen_scenario(arguments.scenario, arguments.duration, arguments.rate)
-    truth = perform(file, scenario, rng)
-    shown = measure(truth, file.sensors, parse_noise(arguments.noise or ["0.1%"], file.rated), rng)
-    drive = drive_for(file, arguments.rate, arguments.bits, arguments.rows_per_frame, boot=1 + arguments.seed)
-    codes = drive.digitise(shown)
+    if arguments.speedup <= 0:
+        raise DataError("--speedup is above 0")
+    bench = prepare(
+        Setup(
+            arguments.motor, arguments.scenario, arguments.duration, arguments.rate, arguments.rows_per_frame,
+            arguments.bits, arguments.noise or Setup.noise, arguments.seed,
+        )
+    )  # fmt: skip
     if arguments.truth:
-        write_recording(truth, Path(arguments.truth))
+        write_recording(bench.truth, Path(arguments.truth))
     stop = _Stop()
     sent = dropped = 0
     with PtyPort(arguments.link) as port:
@@ -80,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         port.wait_for_reader(lambda: stop.asked)
         port.write(b"\0", patience_s=1.0)
         began = time.monotonic()
-        for sending in sendings(drive, codes):
+        for sending in sendings(bench.drive, bench.codes):
             stop.sleep(began + sending.at_s / arguments.speedup - time.monotonic())
             if stop.asked:
                 break
