@@ -38,6 +38,20 @@ of_step = types.void(v, v, float64, v, float64, float64, float64, v, v, v)
 of_rest = types.UniTuple(float64, 3)(v, v, float64, v, float64)
 of_torque = float64(v, v, float64, v, float64, float64)
 of_linear = types.void(v, v, float64, v, float64, float64, int64[::1], m, m)
+of_work = types.Tuple((mm, mm, mm, m, int64[::1], m, mm, v))
+of_propagate = types.void(
+    types.FunctionType(of_linear), v, v, float64, v, float64, float64, float64, v, v, float64, float64, m, of_work
+)
+pointers = [types.FunctionType(f) for f in (of_step, of_rest, of_torque, of_linear, of_propagate)]
+of_integrate = int64(*pointers, v, m, boolean, boolean, v, v, v, v, float64, m, m, of_work, mm, mm)
+"""
+
+
+_NO_PROPAGATE = f"""{_HEAD}
+
+@njit(of_propagate, **options)
+def propagate(linear, x, p, t, u, h, side, go, y, z, begin, end, S, work):
+    pass
 """
 
 
@@ -55,8 +69,13 @@ class Compiled:
 
 def compiled(system: System) -> Compiled:
     """The machine code of a system, from the cache if it is there."""
-    own, loop = _load(source(system)), _load(loop_source())
-    return Compiled(loop.integrate, (own.step, own.rest, own.torque, own.linear))
+    own = _load(source(system))
+    loop = _load(shared_source(compile_loop, "of_integrate"))
+    # Without forcings there is nothing to propagate.
+    variational = shared_source(compile_variational, "of_propagate") if system.forcings else _NO_PROPAGATE
+    return Compiled(
+        loop.integrate, (own.step, own.rest, own.torque, own.linear, _load(variational).propagate)
+    )
 
 
 def source(system: System) -> str:
@@ -80,29 +99,25 @@ def source(system: System) -> str:
     return "\n\n".join([_HEAD, *functions])
 
 
-@cache
-def loop_source() -> str:
-    """The source of the loop that all structures share."""
-    constants = [
+def shared_source(module: ModuleType, signature: str) -> str:
+    """The source of what all structures share: a module's functions below the line, the last with this signature."""
+    below = inspect.getsource(module).partition("# ---- compiled from here on ----\n")[2]
+    *inner, outer = ["def " + part.rstrip() for part in ("\n" + below).split("\ndef ")[1:]]
+    decorated = [
+        *(f"@njit(**options)\n{text}\n" for text in inner),
+        f"@njit({signature}, **options)\n{outer}\n",
+    ]
+    return "\n\n".join([_HEAD, *_constants(), *decorated])
+
+
+def _constants() -> list[str]:
+    return [
         f"SHRINK, GROW, SAFETY = {compile_loop.SHRINK}, {compile_loop.GROW}, {compile_loop.SAFETY}",
         f"LOCATED, INDUCTANCE = {compile_loop.LOCATED}, {compile_loop.INDUCTANCE}",
-        f"SPEED, GAMMA = {compile_variational.SPEED}, {GAMMA}",
+        f"SPEED, GAMMA = {compile_loop.SPEED}, {GAMMA}",
         *(f"{name} = np.array({_square(rows)})" for name, rows in {"A": A, "C": C}.items()),
         *(f"{name} = np.array({row})" for name, row in {"ALPHA": ALPHA, "GAMMAS": GAMMAS}.items()),
-        "of_work = types.Tuple((mm, mm, mm, m, int64[::1], m, mm, v))",
-        "pointers = [types.FunctionType(f) for f in (of_step, of_rest, of_torque, of_linear)]",
-        "of_integrate = int64(*pointers, v, m, boolean, boolean, v, v, v, v, float64, m, m, of_work, mm, mm)",
     ]
-    functions = [*_below_the_line(compile_variational), *_below_the_line(compile_loop)]
-    last = functions.pop(next(k for k, text in enumerate(functions) if text.startswith("def integrate(")))
-    decorated = [f"@njit(**options)\n{text}\n" for text in functions]
-    return "\n\n".join([_HEAD, *constants, *decorated, f"@njit(of_integrate, **options)\n{last}\n"])
-
-
-def _below_the_line(module: ModuleType) -> list[str]:
-    """The functions below the line in one of our modules."""
-    below = inspect.getsource(module).partition("# ---- compiled from here on ----\n")[2]
-    return ["def " + part.rstrip() for part in ("\n" + below).split("\ndef ")[1:]]
 
 
 def _square(rows: Sequence[Sequence[float]]) -> list[list[float]]:

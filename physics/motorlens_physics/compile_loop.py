@@ -19,26 +19,8 @@ Vector = Any
 SHRINK, GROW, SAFETY = 0.2, 6.0, 0.9
 # Instants at which the rotor stops or breaks away are located to this share of a step.
 LOCATED = 1e-9
-# Where L stands among the parameters.
-INDUCTANCE = 1
-
-
-def begin_sample(work: Any) -> None:
-    """See `compile_variational`."""
-    raise NotImplementedError
-
-
-def propagate(
-    linear: Any, x: Vector, p: Vector, t: float, u: Vector, h: float, side: float, go: float, y: Vector, z: Vector,
-    begin: float, end: float, S: Vector, work: Any,
-) -> None:  # fmt: skip
-    """See `compile_variational`."""
-    raise NotImplementedError
-
-
-def turn(ratio: float, S: Vector, work: Any) -> None:
-    """See `compile_variational`."""
-    raise NotImplementedError
+# Where L stands among the parameters, and w among the states.
+INDUCTANCE, SPEED = 1, 1
 
 
 # ---- compiled from here on ----
@@ -63,100 +45,22 @@ def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> floa
     return worst
 
 
-def integrate(
-    step: Any, rest: Any, torque: Any, linear: Any, time: Vector, inputs: Vector, held: bool, smooth: bool,
-    p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float, out: Vector,
-    S: Vector, work: Any, kept: Vector, matrices: Vector,
-) -> int:  # fmt: skip
-    """Fill out[1:] from the state x at time[0]; return -1, or the sample after which no step was small enough.
+def begin(total: Vector) -> None:
+    """Set the matrices of a sample (see `compile_variational`) to those of no time."""
+    if total.size > 0:
+        total[0] = 0.0
+        for r in range(total.shape[1]):
+            total[0, r, r] = 1.0
 
-    `step`, `rest`, `torque` and `linear` are the functions of `compile.source`. `inputs` is (N, 3). Sensitivities S are
-    carried along if there is a workspace (see `sensitivity`), and kept, with the matrices of each sample, where there is
-    room. `carry` keeps the length of the next step between calls, and counts accepted and rejected steps.
+
+def turn(ratio: float, S: Vector, total: Vector) -> None:
+    """The speed passes through zero: its acceleration jumps by this ratio, and so does the sensitivity of the speed.
+
+    Saltation, Leine and Nijmeijer (2004), Dynamics and Bifurcations of Non-Smooth Mechanical Systems, section 7.3.
     """
-    y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(6)
-    trial, sensitive = carry[0], work[7].size > 0
-    for k in range(time.size - 1):
-        span = time[k + 1] - time[k]
-        for j in range(3):
-            u[3 + j] = 0.0 if held else (inputs[k + 1, j] - inputs[k, j]) / span
-        for j in range(3):
-            u[j] = inputs[k, j]
-        if p[INDUCTANCE] == 0.0:
-            # Without inductance the current jumps with the voltage: a step of no length finds it.
-            for _ in range(3):
-                step(x, p, time[k], u, 1e-9 * span, 1.0, 0.0, y, e, z)
-                x[0] = y[0]
-        if sensitive:
-            begin_sample(work)
-        past, released = 0.0, 0.0
-        while past < span:
-            t = time[k] + past
-            for j in range(3):
-                u[j] = inputs[k, j] + u[3 + j] * past
-            side, go, excess = 0.0, 1.0, 0.0
-            if not smooth:
-                side = 1.0 if x[1] > 0.0 else -1.0
-                if x[1] == 0.0:
-                    excess, way = breaks_away(rest, x, p, t, u, 0.0)
-                    side = way if excess > 0.0 else released
-                    go = abs(side)
-            left = span - past
-            h = min(trial, left)
-            # Two equal steps rather than a long one and a crumb.
-            if h < left < 2.0 * h:
-                h = 0.5 * left
-            step(x, p, t, u, h, side, go, y, e, z)
-            error = error_of(x, y, e, atol, rtol)
-            if not error <= 1.0:
-                carry[2] += 1.0
-                trial = h * (max(SHRINK, SAFETY * error**-0.25) if error < math.inf else 0.1)
-                if trial < 1e-14 * span or t + trial == t:
-                    return k
-                continue
-            then = side
-            if side != 0.0 and y[1] * side < 0.0:
-                if x[1] == 0.0 and h > LOCATED * span:
-                    # The torque changes its direction within the step.
-                    trial = 0.1 * h
-                    continue
-                if x[1] == 0.0:
-                    # It would turn against the torque that broke it away: rounding; it rests for this step.
-                    go = 0.0
-                    step(x, p, t, u, h, side, go, y, e, z)
-                else:
-                    h = stop(step, x, p, t, u, h, side, y, e, z)
-                    excess, way = breaks_away(rest, y, p, t, u, h)
-                    then = way if excess > 0.0 else 0.0
-            elif go == 0.0:
-                ends, way = breaks_away(rest, y, p, t, u, h)
-                if ends > 0.0 and excess == 0.0 and released == 0.0:
-                    # Nothing holds it: it goes at once.
-                    released = way
-                    continue
-                if ends > 0.0:
-                    h = hold(step, rest, x, p, t, u, h, excess, ends, y, e, z)
-            end = 1.0 if h == left else (past + h) / span
-            if sensitive:
-                propagate(linear, x, p, t, u, h, side, go, y, z, past / span, end, S, work)
-                if then != side:
-                    after = torque(y, p, t, u, h, then) if then != 0.0 else 0.0
-                    turn(after / torque(y, p, t, u, h, side), S, work)
-            x[:] = y
-            released = 0.0
-            carry[1] += 1.0
-            # The last step of a sample ends exactly there.
-            past = span if h == left else past + h
-            grown = h * min(GROW, SAFETY * max(error, 1e-8) ** -0.25)
-            # A step cut short by the end of a sample says nothing against the longer one that was planned.
-            trial = max(grown, trial) if h < trial else grown
-        out[k + 1] = x
-        if kept.size > 0:
-            kept[k + 1] = S
-        if matrices.size > 0:
-            matrices[k] = work[6][0]
-    carry[0] = trial
-    return -1
+    S[SPEED] *= ratio
+    if total.size > 0:
+        total[0, SPEED] *= ratio
 
 
 def stop(
@@ -173,22 +77,22 @@ def stop(
 ) -> float:
     """Shorten a step in which the speed changes its sign so that it ends where the speed is zero; the new length."""
     # Regula falsi in the Illinois form, Dowell and Jarratt (1971), doi:10.1007/BF01934364.
-    before, after, w_before, w_after = 0.0, h, x[1], y[1]
+    before, after, w_before, w_after = 0.0, h, x[SPEED], y[SPEED]
     last = 0
     for _ in range(100):
         h = (before * w_after - after * w_before) / (w_after - w_before)
         step(x, p, t, u, h, side, 1.0, y, e, z)
-        if abs(y[1]) <= LOCATED * abs(x[1]) or after - before <= LOCATED * after:
+        if abs(y[SPEED]) <= LOCATED * abs(x[SPEED]) or after - before <= LOCATED * after:
             break
-        if y[1] * side > 0.0:
-            before, w_before = h, y[1]
+        if y[SPEED] * side > 0.0:
+            before, w_before = h, y[SPEED]
             w_after *= 0.5 if last == 1 else 1.0
             last = 1
         else:
-            after, w_after = h, y[1]
+            after, w_after = h, y[SPEED]
             w_before *= 0.5 if last == -1 else 1.0
             last = -1
-    y[1] = 0.0
+    y[SPEED] = 0.0
     return h
 
 
@@ -226,3 +130,100 @@ def hold(
     # At the end it must have broken away, or the next step would find it at rest and cut itself again.
     step(x, p, t, u, after, 0.0, 0.0, y, e, z)
     return after
+
+
+def integrate(
+    step: Any, rest: Any, torque: Any, linear: Any, propagate: Any, time: Vector, inputs: Vector, held: bool, smooth: bool,
+    p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float, out: Vector,
+    S: Vector, work: Any, kept: Vector, matrices: Vector,
+) -> int:  # fmt: skip
+    """Fill out[1:] from the state x at time[0]; return -1, or the sample after which no step was small enough.
+
+    `step`, `rest`, `torque` and `linear` are functions of `compile.source`, `propagate` is that of `compile_variational`.
+    `inputs` is (N, 3). Sensitivities S are carried along if there is a workspace (see `sensitivity`), and kept, with the
+    matrices of each sample, where there is room. `carry` keeps the length of the next step between calls, and counts
+    accepted and rejected steps.
+    """
+    y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(6)
+    trial, sensitive = carry[0], work[7].size > 0
+    for k in range(time.size - 1):
+        span = time[k + 1] - time[k]
+        for j in range(3):
+            u[3 + j] = 0.0 if held else (inputs[k + 1, j] - inputs[k, j]) / span
+        for j in range(3):
+            u[j] = inputs[k, j]
+        if p[INDUCTANCE] == 0.0:
+            # Without inductance the current jumps with the voltage: a step of no length finds it.
+            for _ in range(3):
+                step(x, p, time[k], u, 1e-9 * span, 1.0, 0.0, y, e, z)
+                x[0] = y[0]
+        if sensitive:
+            begin(work[6])
+        past, released = 0.0, 0.0
+        while past < span:
+            t = time[k] + past
+            for j in range(3):
+                u[j] = inputs[k, j] + u[3 + j] * past
+            side, go, excess = 0.0, 1.0, 0.0
+            if not smooth:
+                side = 1.0 if x[SPEED] > 0.0 else -1.0
+                if x[SPEED] == 0.0:
+                    excess, way = breaks_away(rest, x, p, t, u, 0.0)
+                    side = way if excess > 0.0 else released
+                    go = abs(side)
+            left = span - past
+            h = min(trial, left)
+            # Two equal steps rather than a long one and a crumb.
+            if h < left < 2.0 * h:
+                h = 0.5 * left
+            step(x, p, t, u, h, side, go, y, e, z)
+            error = error_of(x, y, e, atol, rtol)
+            if not error <= 1.0:
+                carry[2] += 1.0
+                trial = h * (max(SHRINK, SAFETY * error**-0.25) if error < math.inf else 0.1)
+                if trial < 1e-14 * span or t + trial == t:
+                    return k
+                continue
+            then = side
+            if side != 0.0 and y[SPEED] * side < 0.0:
+                if x[SPEED] == 0.0 and h > LOCATED * span:
+                    # The torque changes its direction within the step.
+                    trial = 0.1 * h
+                    continue
+                if x[SPEED] == 0.0:
+                    # It would turn against the torque that broke it away: rounding; it rests for this step.
+                    go = 0.0
+                    step(x, p, t, u, h, side, go, y, e, z)
+                else:
+                    h = stop(step, x, p, t, u, h, side, y, e, z)
+                    excess, way = breaks_away(rest, y, p, t, u, h)
+                    then = way if excess > 0.0 else 0.0
+            elif go == 0.0:
+                ends, way = breaks_away(rest, y, p, t, u, h)
+                if ends > 0.0 and excess == 0.0 and released == 0.0:
+                    # Nothing holds it: it goes at once.
+                    released = way
+                    continue
+                if ends > 0.0:
+                    h = hold(step, rest, x, p, t, u, h, excess, ends, y, e, z)
+            end = 1.0 if h == left else (past + h) / span
+            if sensitive:
+                propagate(linear, x, p, t, u, h, side, go, y, z, past / span, end, S, work)
+                if then != side:
+                    after = torque(y, p, t, u, h, then) if then != 0.0 else 0.0
+                    turn(after / torque(y, p, t, u, h, side), S, work[6])
+            x[:] = y
+            released = 0.0
+            carry[SPEED] += 1.0
+            # The last step of a sample ends exactly there.
+            past = span if h == left else past + h
+            grown = h * min(GROW, SAFETY * max(error, 1e-8) ** -0.25)
+            # A step cut short by the end of a sample says nothing against the longer one that was planned.
+            trial = max(grown, trial) if h < trial else grown
+        out[k + 1] = x
+        if kept.size > 0:
+            kept[k + 1] = S
+        if matrices.size > 0:
+            matrices[k] = work[6][0]
+    carry[0] = trial
+    return -1

@@ -9,57 +9,13 @@ Like `compile_loop` this is ordinary Python, copied below the line into generate
 
 from typing import Any
 
+from motorlens_physics.compile_loop import SPEED
 from motorlens_physics.compile_rodas import ALPHA, GAMMA, GAMMAS, A, C
 
 Matrix = Any
-# Row of the speed.
-SPEED = 1
 
 
 # ---- compiled from here on ----
-def begin_sample(work: Any) -> None:
-    """Set the matrices of the sample to those of no time."""
-    total = work[6]
-    if total.size > 0:
-        total[0] = 0.0
-        for r in range(total.shape[1]):
-            total[0, r, r] = 1.0
-
-
-def propagate(
-    linear: Any, x: Matrix, p: Matrix, t: float, u: Matrix, h: float, side: float, go: float, y: Matrix, z: Matrix,
-    begin: float, end: float, S: Matrix, work: Any,
-) -> None:  # fmt: skip
-    """Carry the sensitivities S (n, columns), and the matrices of the sample so far, over one step."""
-    a, g, stages, over, slots, T, total, m = work
-    n = m.size
-    linear(x, p, t, u, 0.0, side, slots, a[0], g[0])
-    linear(z, p, t, u, 0.5 * h, side, slots, a[1], g[1])
-    linear(y, p, t, u, h, side, slots, a[2], g[2])
-    if go == 0.0:
-        a[:, SPEED] = 0.0
-        g[:, SPEED] = 0.0
-    transfer(h, m, a, stages, over)
-    if go == 0.0:
-        # What rests has no speed to be perturbed.
-        over[SPEED] = 0.0
-    columns, forced = S.shape[1], g.shape[2] - 1
-    for r in range(n):
-        for j in range(columns):
-            T[r, j] = 0.0
-        for c in range(n):
-            phi, first, middle, last = over[r, c], over[r, n + c], over[r, 2 * n + c], over[r, 3 * n + c]
-            for j in range(columns):
-                T[r, j] += phi * S[c, j]
-            for j in range(forced):
-                T[r, j] += first * g[0, c, j] + middle * g[1, c, j] + last * g[2, c, j]
-    for r in range(n):
-        for j in range(columns):
-            S[r, j] = T[r, j]
-    if total.size > 0:
-        accumulate(begin, end, over, total)
-
-
 def accumulate(begin: float, end: float, over: Matrix, total: Matrix) -> None:
     """Put a step behind those before it in its sample, for forcings that run linearly over the sample.
 
@@ -132,11 +88,35 @@ def transfer(h: float, m: Matrix, a: Matrix, k: Matrix, over: Matrix) -> None:
             over[r, c] = k[6, r, c] + k[5, r, c]
 
 
-def turn(ratio: float, S: Matrix, work: Any) -> None:
-    """The speed passes through zero: its acceleration jumps by this ratio, and so does the sensitivity of the speed.
-
-    Saltation, Leine and Nijmeijer (2004), Dynamics and Bifurcations of Non-Smooth Mechanical Systems, section 7.3.
-    """
-    S[SPEED] *= ratio
-    if work[6].size > 0:
-        work[6][0, SPEED] *= ratio
+def propagate(
+    linear: Any, x: Matrix, p: Matrix, t: float, u: Matrix, h: float, side: float, go: float, y: Matrix, z: Matrix,
+    begin: float, end: float, S: Matrix, work: Any,
+) -> None:  # fmt: skip
+    """Carry the sensitivities S (n, columns), and the matrices of the sample so far, over one step."""
+    a, g, stages, over, slots, T, total, m = work
+    n = m.size
+    linear(x, p, t, u, 0.0, side, slots, a[0], g[0])
+    linear(z, p, t, u, 0.5 * h, side, slots, a[1], g[1])
+    linear(y, p, t, u, h, side, slots, a[2], g[2])
+    if go == 0.0:
+        a[:, SPEED] = 0.0
+        g[:, SPEED] = 0.0
+    transfer(h, m, a, stages, over)
+    if go == 0.0:
+        # What rests has no speed to be perturbed.
+        over[SPEED] = 0.0
+    columns, forced = S.shape[1], g.shape[2] - 1
+    for r in range(n):
+        for j in range(columns):
+            T[r, j] = 0.0
+        for c in range(n):
+            phi, first, middle, last = over[r, c], over[r, n + c], over[r, 2 * n + c], over[r, 3 * n + c]
+            for j in range(columns):
+                T[r, j] += phi * S[c, j]
+            for j in range(forced):
+                T[r, j] += first * g[0, c, j] + middle * g[1, c, j] + last * g[2, c, j]
+    for r in range(n):
+        for j in range(columns):
+            S[r, j] = T[r, j]
+    if total.size > 0:
+        accumulate(begin, end, over, total)
