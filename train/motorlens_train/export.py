@@ -29,7 +29,7 @@ Numbers = NDArray[Any]
 
 
 def core_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False) -> bytes:
-    """The core graph: `features [N, F] -> estimate [N, K], sigma [N, K]`; in float64 for checks if `double`."""
+    """The core graph: `features [N, F] -> estimate [N, K], sigma [N, K]`, float64 at the border; all of it if `double`."""
     graph = _Graph(np.float64 if double else np.float32)
     estimate, sigma = _network(graph, sensor, "features")
     graph.add("Identity", [estimate], "estimate")
@@ -37,8 +37,8 @@ def core_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False
     features, outputs = len(sensor.bank.features), len(sensor.specification.outputs)
     return graph.model(
         sensor.name,
-        [("features", graph.kind, ["N", features])],
-        [("estimate", graph.kind, ["N", outputs]), ("sigma", graph.kind, ["N", outputs])],
+        [("features", np.float64, ["N", features])],
+        [("estimate", np.float64, ["N", outputs]), ("sigma", np.float64, ["N", outputs])],
         metadata,
     )
 
@@ -54,10 +54,10 @@ def step_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False
     state = graph.add("Add", [drive, kept], "next_state")
     everything = graph.add("Concat", [stack, state, graph.exact([0.0])], axis=0)
     plus, minus = (graph.add("Gather", [everything, graph.whole(index)], axis=0) for index in wiring(bank))
-    features = graph.add("Cast", [graph.add("Sub", [plus, minus])], to=graph.type)
+    features = graph.add("Sub", [plus, minus])
     estimate, sigma = _network(graph, sensor, graph.add("Unsqueeze", [features, graph.whole([0])]))
     for name, value in (("estimate", estimate), ("sigma", sigma)):
-        graph.add("Cast", [graph.add("Squeeze", [value, graph.whole([0])])], name, to=TensorProto.DOUBLE)
+        graph.add("Squeeze", [value, graph.whole([0])], name)
     inputs = ["voltage", "current", *(["ambient"] if bank.ambient else []), "dt"]
     filters, outputs = len(bank.filters), len(sensor.specification.outputs)
     return graph.model(
@@ -121,11 +121,11 @@ def _signal(graph: "_Graph", name: str, bank: Bank) -> str:
 
 
 def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
-    """Scaling, layers, output, standard deviation; `features` is `[N, F]`. Returns estimate and sigma."""
+    """Scaling, layers, output, standard deviation; `features` is `[N, F]` float64. Returns estimate and sigma."""
     network, architecture = sensor.network, sensor.network.architecture
-    # x scaled as x * (1 / deviation) - mean / deviation: one rounding less than subtracting first would seem to save.
-    centred = graph.add("Sub", [features, graph.real(sensor.inputs.mean)])
-    known = [graph.add("Mul", [centred, graph.real(1 / sensor.inputs.deviation)])]
+    # Whitening takes small differences of large features, so it is done in float64; the network then needs float32 only.
+    centred = graph.add("Sub", [features, graph.exact(sensor.inputs.mean)])
+    known = [graph.add("Cast", [graph.add("MatMul", [centred, graph.exact(sensor.inputs.matrix)])], to=graph.type)]
     first = 0
     for layer, width in enumerate(architecture.hidden):
         reads = len(architecture.reads(layer))
@@ -142,7 +142,7 @@ def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
     limits = [graph.real(np.array(limit)) for limit in LOG_VARIANCE_RANGE]
     noise = graph.add("Exp", [graph.add("Clip", [graph.affine(read, sensor.noise.T), *limits])])
     sigma = graph.add("Mul", [graph.add("Sqrt", [graph.add("Add", [function, noise])]), deviation])
-    return estimate, sigma
+    return graph.add("Cast", [estimate], to=TensorProto.DOUBLE), graph.add("Cast", [sigma], to=TensorProto.DOUBLE)
 
 
 def _read(graph: "_Graph", known: Sequence[str], skips: bool) -> str:
@@ -177,8 +177,8 @@ class _Graph:
     def real(self, values: Any) -> str:
         return self._constant(np.ascontiguousarray(np.asarray(values, dtype=self.kind)))
 
-    def exact(self, values: Sequence[float]) -> str:
-        return self._constant(np.array(values, dtype=np.float64))
+    def exact(self, values: Any) -> str:
+        return self._constant(np.ascontiguousarray(np.asarray(values, dtype=np.float64)))
 
     def whole(self, values: Any) -> str:
         return self._constant(np.array(values, dtype=np.int64))

@@ -115,9 +115,9 @@ def step(point: Point, hyper: Hyperparameters, damping: float, batch: Batch, cur
         dampings = [min(max(factor * damping, DAMPING_RANGE[0]), DAMPING_RANGE[1]) for factor in TRIALS]
         trials = []
         for trial in dampings:
-            moved = network.hidden + reduced.solve(trial, network, part.precision, curving)
-            if bool(torch.isfinite(moved).all()):
-                trials.append((locate(architecture, moved, part, curving), trial))
+            moved = reduced.solve(trial, network, part.precision, curving)
+            if moved is not None and bool(torch.isfinite(moved).all()):
+                trials.append((locate(architecture, network.hidden + moved, part, curving), trial))
         best, chosen = min(trials, key=lambda pair: pair[0].objective, default=(local, damping))
         if best.objective < local.objective:
             confirmed = best if whole else locate(architecture, best.network.hidden, hyper, batch)
@@ -152,11 +152,14 @@ class _Reduced:
         matrix = sums.hidden + torch.diag(prior) - tied
         return _Reduced(0.5 * (matrix + matrix.T), slope + prior * network.hidden, followers)
 
-    def solve(self, damping: float, network: Network, precision: Tensor, batch: Batch) -> Tensor:
-        """The step `[P_h]` for one damping, with its geodesic correction."""
+    def solve(self, damping: float, network: Network, precision: Tensor, batch: Batch) -> Tensor | None:
+        """The step `[P_h]` for one damping with its geodesic correction; None if it takes more damping."""
         diagonal = self.matrix.diagonal()
         scale = diagonal.clamp_min(1e-6 * float(diagonal.max()))
-        factor = cholesky(self.matrix + damping * torch.diag(scale))
+        factor: Tensor
+        factor, failed = torch.linalg.cholesky_ex(self.matrix + damping * torch.diag(scale))
+        if bool(failed):
+            return None
         velocity = -torch.cholesky_solve(self.slope[:, None], factor)[:, 0]
         turns = (velocity, -(self.followers @ velocity))
         bend_hidden, bend_output = acceleration(

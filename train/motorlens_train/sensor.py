@@ -8,7 +8,7 @@ from torch import Tensor
 
 from motorlens_train.cascade import Network, dense, forward
 from motorlens_train.posterior import LastLayer
-from motorlens_train.scaling import Scaling
+from motorlens_train.scaling import Scaling, Whitening
 from motorlens_train.specification import Array, Bank, Specification
 
 
@@ -20,7 +20,7 @@ class Sensor:
         name: of the sensor.
         specification: signals, features, outputs, envelope.
         network: on scaled features and outputs.
-        inputs: scaling of the features.
+        inputs: whitening of the features.
         targets: scaling of the outputs.
         posterior: last-layer posterior of the function.
         noise: weights `[K, Z]` of the logarithm of each output's remaining variance (scaled), on what the output
@@ -30,7 +30,7 @@ class Sensor:
     name: str
     specification: Specification
     network: Network
-    inputs: Scaling
+    inputs: Whitening
     targets: Scaling
     posterior: LastLayer
     noise: Tensor

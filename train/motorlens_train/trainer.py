@@ -34,7 +34,7 @@ from motorlens_train.evidence import (
 )
 from motorlens_train.gauss_newton import Columns, OutputMoments, curvature
 from motorlens_train.levenberg_marquardt import Batch, Point, locate, settle, step
-from motorlens_train.scaling import Scaling
+from motorlens_train.scaling import Scaling, Whitening
 from motorlens_train.source import Block, Source
 
 # Rows per product: large enough for the processor's matrix units, small enough for its cache.
@@ -54,6 +54,7 @@ class Settings:
         patience: iterations without improvement of the validation error before training stops.
         time_series: whether consecutive rows are a time series with correlated errors.
         single: whether products run in float32 (sums are float64 always).
+        ridge: of the inputs' whitening.
     """
 
     iterations: int = 300
@@ -63,6 +64,7 @@ class Settings:
     patience: int = 15
     time_series: bool = False
     single: bool = True
+    ridge: float = 1e-8
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class Trained:
 
     Attributes:
         network: weights for scaled inputs and targets.
-        inputs: scaling of the inputs.
+        inputs: whitening of the inputs.
         targets: scaling of the targets.
         hyper: alpha, beta and tau.
         evidence: Laplace's approximation at the final weights.
@@ -103,7 +105,7 @@ class Trained:
     """
 
     network: Network
-    inputs: Scaling
+    inputs: Whitening
     targets: Scaling
     hyper: Hyperparameters
     evidence: Evidence
@@ -164,7 +166,7 @@ def train(
         report: called after every iteration.
     """
     scale_rows = source.sample(65536, np.random.default_rng([seed, 0]))
-    inputs, targets = Scaling.of(scale_rows[0]), Scaling.of(scale_rows[1])
+    inputs, targets = Whitening.of(scale_rows[0], settings.ridge), Scaling.of(scale_rows[1])
     run = _Run(source, architecture, seed, settings, validation, inputs, targets)
     state = run.start()
     if checkpoint is not None and checkpoint.exists():
@@ -192,7 +194,7 @@ class _Run:
     seed: int
     settings: Settings
     validation: Source | None
-    inputs: Scaling
+    inputs: Whitening
     targets: Scaling
 
     def start(self) -> State:
