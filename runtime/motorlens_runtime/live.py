@@ -15,7 +15,6 @@ from motorlens_runtime.errors import DataError
 from motorlens_runtime.feed import open_feed
 from motorlens_runtime.infer import header_of
 from motorlens_runtime.outlet import Outlet
-from motorlens_runtime.publish import open_publisher
 from motorlens_runtime.recorder import Recorder
 from motorlens_runtime.sensor import load_sensor
 from motorlens_runtime.service import Service, Settings
@@ -43,7 +42,7 @@ def run_live(arguments: argparse.Namespace) -> int:
         stack.callback(feed.close)
         outlets = []
         for url in arguments.publish or ["stdout:"]:
-            outlet = Outlet(url, open_publisher(url, header_of(sensor)))
+            outlet = Outlet(url, header_of(sensor))
             outlets.append(outlet)
             stack.callback(outlet.close)
         recorder = Recorder(arguments.record) if arguments.record else None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.publish import Publisher
+from motorlens_runtime.publish import Header, open_publisher
 
 _MAX_ROWS = 1 << 16
 _FLUSH_S = 0.2
@@ -57,14 +57,18 @@ class OutletReport:
 
 
 class Outlet:
-    """One `--publish URL` with its options `rate` (rows per second) and `decimate` (`last` or `mean`)."""
+    """One `--publish URL` with its options `rate` (rows per second) and `decimate` (`last` or `mean`).
 
-    def __init__(self, url: str, publisher: Publisher) -> None:
+    Raises:
+        DataError, DeviceError, OSError: it cannot be opened.
+    """
+
+    def __init__(self, url: str, header: Header) -> None:
         options = dict(parse_qsl(urlsplit(url).query))
         self._url = url
-        self._publisher = publisher
         self._grid = Grid(_rate(url, options.get("rate", "0")))
         self._reduce = _reducer(url, options.get("decimate", "last"), options.get("rate"))
+        self._publisher = open_publisher(url, header)
         self._queue: deque[Estimates] = deque()
         self._rows_waiting = 0
         self._wake = threading.Condition()

@@ -24,6 +24,8 @@ _BEHIND_NS = 250_000_000
 # A device's clock may drift this much against ours; the best is forgotten at this pace.
 _DRIFT = 5e-4
 _LATENCIES = 1 << 16
+# How much longer than its duration a live stream may take, from opening the port to its first sample.
+_GRACE_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ class Service:
         self._first_ns: int | None = None
         self._reasons = np.zeros(32, dtype=np.int64)
         self._latency_ns = np.zeros(_LATENCIES)
+        self._started_ns = 0
         self._blocks = 0
         self._largest_block = 0
         self._latest: Estimates | None = None
@@ -68,9 +71,8 @@ class Service:
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Until `stop()`, the end of the feed or the duration. Raises what the feed raises."""
-        started_ns = self._clock()
-        end_ns = started_ns + self._settings.duration_s * 1e9
-        while not stop() and not self._finished(end_ns):
+        self._started_ns = self._clock()
+        while not stop() and not self._finished():
             samples = self._feed.read(_WAIT_S)
             if samples is None:
                 return
@@ -137,13 +139,15 @@ class Service:
             self._estimator, self._period_s = Estimator(self._sensor, period_s, state), period_s
         return self._estimator
 
-    def _finished(self, end_ns: float) -> bool:
-        if self._clock() >= end_ns:
-            return True
+    def _finished(self) -> bool:
+        """Whether the stream is as long as was asked for; the host's clock ends one that falls silent."""
+        duration_ns = self._settings.duration_s * 1e9
         gate = None if self._estimator is None else self._estimator.state.gate
-        if gate is None or gate.last_ns is None or self._first_ns is None:
-            return False
-        return gate.last_ns - self._first_ns >= self._settings.duration_s * 1e9
+        if gate is None or gate.last_ns is None or self._first_ns is None or self._period_s is None:
+            return self._clock() - self._started_ns >= duration_ns
+        if gate.last_ns - self._first_ns + self._period_s * 1e9 >= duration_ns:
+            return True
+        return self._clock() - self._started_ns >= duration_ns + _GRACE_NS
 
     def _hand_out(self, estimates: Estimates) -> None:
         self._published += len(estimates)

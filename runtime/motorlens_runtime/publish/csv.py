@@ -8,11 +8,12 @@ from urllib.parse import SplitResult
 import numpy as np
 
 from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.publish import Header, file_of
+from motorlens_runtime.publish import Header, file_of, options_of
 
 
 def open_url(url: SplitResult, header: Header) -> "CsvPublisher":
     """See `publish`. An existing file is replaced."""
+    options_of(url)
     return CsvPublisher(Path(file_of(url)).open("w", encoding="ascii", newline=""), header)
 
 
@@ -45,6 +46,7 @@ class CsvPublisher:
 
     def close(self) -> None:
         """Close the file, unless it is standard output."""
-        self._file.flush()
-        if self._file is not sys.stdout:
+        if self._file is sys.stdout:
+            self._file.flush()
+        else:
             self._file.close()

@@ -7,12 +7,13 @@ from typing import IO, Any
 from urllib.parse import SplitResult
 
 from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.publish import Header, file_of
+from motorlens_runtime.publish import Header, file_of, options_of
 from motorlens_runtime.quality import names
 
 
 def open_url(url: SplitResult, header: Header) -> "JsonLinesPublisher":
     """See `publish`. An existing file is replaced."""
+    options_of(url)
     return JsonLinesPublisher(Path(file_of(url)).open("w", encoding="ascii"), header)
 
 
@@ -46,6 +47,7 @@ class JsonLinesPublisher:
 
     def close(self) -> None:
         """Close the file, unless it is standard output."""
-        self._file.flush()
-        if self._file is not sys.stdout:
+        if self._file is sys.stdout:
+            self._file.flush()
+        else:
             self._file.close()

@@ -10,13 +10,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.publish import Header, file_of
+from motorlens_runtime.publish import Header, file_of, options_of
 
 _ROWS_PER_GROUP = 1 << 16
 
 
 def open_url(url: SplitResult, header: Header) -> "ParquetPublisher":
     """See `publish`. An existing file is replaced."""
+    options_of(url)
     return ParquetPublisher(file_of(url), header)
 
 

@@ -4,13 +4,14 @@ import sys
 from urllib.parse import SplitResult
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.publish import Header, Publisher
+from motorlens_runtime.publish import Header, Publisher, options_of
 from motorlens_runtime.publish.csv import CsvPublisher
 from motorlens_runtime.publish.jsonl import JsonLinesPublisher
 
 
 def open_url(url: SplitResult, header: Header) -> Publisher:
     """See `publish`."""
+    options_of(url)
     form = url.netloc + url.path
     if form in ("", "csv"):
         return CsvPublisher(sys.stdout, header)

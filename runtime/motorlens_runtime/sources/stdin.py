@@ -20,14 +20,12 @@ class StdinSource:
     name = "stdin"
     lasting = False
 
-    def __init__(self) -> None:
-        self._fd = sys.stdin.fileno()
-
     def read(self, timeout_s: float) -> bytes | None:
         """See `Source.read`."""
-        if not select.select([self._fd], [], [], timeout_s)[0]:
+        fd = sys.stdin.fileno()
+        if not select.select([fd], [], [], timeout_s)[0]:
             return b""
-        return os.read(self._fd, 1 << 16) or None
+        return os.read(fd, 1 << 16) or None
 
     def write(self, data: bytes) -> None:
         """Nobody is there to hear."""

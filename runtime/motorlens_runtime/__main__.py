@@ -1,0 +1,7 @@
+"""`python -m motorlens_runtime` is `motorlens`."""
+
+import sys
+
+from motorlens_runtime.cli import main
+
+sys.exit(main())

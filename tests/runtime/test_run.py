@@ -1,0 +1,359 @@
+"""`motorlens run` over a pseudo-terminal: every sample accounted for, the bits of `infer`, a clean end, clear refusals."""
+
+import csv
+import fcntl
+import itertools
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from helpers.sensor_files import write_sensor
+from helpers.wire_device import WireDevice
+
+from motorlens_runtime.cli import main
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_sensor("s.onnx")
+    return tmp_path
+
+
+def run(*arguments, sensor="s.onnx"):
+    return main(["run", "--sensor", sensor, "--json", "report.json", *map(str, arguments)])
+
+
+def report():
+    with open("report.json") as file:
+        return json.load(file)
+
+
+def lines(path):
+    with open(path) as file:
+        return file.read().splitlines()
+
+
+@pytest.mark.parametrize(("rate_Hz", "n"), [(1000, 1), (10_000, 10), (20_000, 20)])
+def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(here, rate_Hz, n):
+    with WireDevice(rate_Hz, n, count=2000) as device:
+        device.start_when_open()
+        seconds = 2000 * n / rate_Hz
+        assert run("--source", f"pty://{device.path}", "--record", "rec.csv", "--publish", "csv:live.csv",
+                   "--publish", "jsonl:live.jsonl?rate=10", "--publish", "csv:all.csv", "--rate", 0,
+                   "--duration", seconds) == 0  # fmt: skip
+    result = report()
+    assert (result["samples"], result["lost"], result["feed"]["bad_frames"]) == (2000 * n, 0, 0)
+    assert result["published"] == 2000 * n and result["bridged"] == 0
+    with open("rec.csv") as file:
+        recorded = list(csv.DictReader(file))
+    assert [float(row["time_s"]) for row in recorded] == [k / rate_Hz for k in range(2000 * n)]
+    assert [float(row["voltage_V"]) for row in recorded] == [0.13 * float(v) for v in device.codes[:, 0]]
+    assert main(["infer", "rec.csv", "--sensor", "s.onnx", "-o", "replay.csv"]) == 0
+    assert lines("live.csv") == lines("replay.csv")
+    times = [json.loads(line)["timestamp"] for line in lines("live.jsonl")]
+    assert len(times) == int(10 * seconds) and times[:2] == [0.0, 0.1]
+
+
+def test_publishing_at_a_rate_gives_rows_of_the_full_output(here):
+    with WireDevice(1000, 10, count=300) as device:
+        device.start_when_open()
+        run(
+            "--source",
+            device.path,
+            "--record",
+            "rec.csv",
+            "--publish",
+            "csv:live.csv",
+            "--rate",
+            50,
+            "--duration",
+            3,
+        )
+    main(["infer", "rec.csv", "--sensor", "s.onnx", "-o", "replay.csv"])
+    live, replay = lines("live.csv"), lines("replay.csv")
+    assert live == [replay[0], *replay[1::20]]
+
+
+def test_signals_end_it_cleanly_with_a_summary(here):
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with WireDevice(1000, 10, count=100_000, paced=True) as device:
+            command = [
+                "run",
+                "--source",
+                device.path,
+                "--sensor",
+                "s.onnx",
+                "--publish",
+                "csv:live.csv",
+                "--json",
+                "report.json",
+            ]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "motorlens_runtime", *command], stderr=subprocess.PIPE, text=True
+            )
+            device.start_when_open()
+            while not (os.path.exists("live.csv") and len(lines("live.csv")) > 20):
+                time.sleep(0.05)
+            process.send_signal(number)
+            _, error = process.communicate(timeout=20)
+        assert process.returncode == 0, error
+        assert re.search(r"motorlens run: \d+ samples from bench .* 0 lost", error)
+        result = report()
+        assert result["samples"] > 200 and result["published"] == len(lines("live.csv")) - 1
+        assert lines("live.csv")[-1].count(",") == 7
+        os.unlink("live.csv")
+
+
+def test_an_unplugged_device_is_taken_up_again_where_it_was(here):
+    first = WireDevice(1000, 10, count=100)
+    os.symlink(first.path, "port")
+    done = threading.Event()
+    second = []
+
+    def replug():
+        while first.sent < 100:
+            time.sleep(0.02)
+        time.sleep(0.3)
+        first.unplug()
+        os.unlink("port")
+        time.sleep(0.4)
+        second.append(WireDevice(1000, 10, count=5000, boot=2, paced=True))
+        os.symlink(second[0].path, "port")
+        second[0].start_when_open()
+        done.set()
+
+    first.start_when_open()
+    threading.Thread(target=replug, daemon=True).start()
+    assert run("--source", here / "port", "--publish", "csv:live.csv", "--rate", 100, "--duration", 4) == 0
+    assert done.is_set()
+    second[0].unplug()
+    result = report()
+    assert result["feed"]["reconnects"] == 1 and result["feed"]["restarts"] == 1 and result["lost"] == 0
+    assert result["samples"] > 1100
+    rows = [[float(x) for x in line.split(",")] for line in lines("live.csv")[1:]]
+    assert all(a[0] <= b[0] for a, b in itertools.pairwise(rows))
+    assert any(int(row[-1]) & 4 for row in rows)  # stale meanwhile
+    assert not int(rows[-1][-1]) & 4
+
+
+def test_a_device_that_stays_away_ends_it_when_asked(here, capsys):
+    device = WireDevice(1000, 10, count=100)
+    device.start_when_open()
+    threading.Timer(2.0, device.unplug).start()
+    assert run("--source", device.path, "--publish", "csv:live.csv", "--reconnect", 1) == 1
+    error = capsys.readouterr().err
+    assert "no such port" in error and "gave up after" in error
+    assert report()["samples"] == 1000
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("serial:///dev/ttyNONE7", "/dev/ttyNONE7: no such port"),
+        ("/dev/ttyNONE7", "/dev/ttyNONE7: no such port"),
+        ("serial://NOSUCHADAPTER", "no port of serial number NOSUCHADAPTER"),
+        ("serial:///dev/null", "/dev/null: is not a usable serial port"),
+        ("serial:", "name a port"),
+        ("carrier-pigeon://x", "unknown scheme 'carrier-pigeon'; known: .*pty, serial"),
+        ("tcp://127.0.0.1:1", "tcp://127.0.0.1:1: no connection"),
+        ("tcp://127.0.0.1", "give a port"),
+        ("udp://127.0.0.1:99999", "give a port"),
+        ("file:none.csv", "none.csv: No such file"),
+        ("file:", "name a file"),
+        ("file:none.csv?sped=1", "unknown option 'sped'"),
+        ("stdin:?dialect=klingon", "no dialect 'klingon'"),
+        ("stdin:?bald=1", "unknown option 'bald'"),
+    ],
+)
+def test_a_source_that_cannot_be_is_one_clear_line(here, capsys, source, message):
+    assert main(["run", "--sensor", "s.onnx", "--source", source]) == 1
+    error = capsys.readouterr().err.splitlines()
+    assert len(error) == 1 and re.search(message, error[0]), error
+
+
+def test_a_port_that_is_taken_names_its_owner(here, capsys):
+    with WireDevice() as device:
+        script = f"import os, sys; os.open({device.path!r}, os.O_RDWR | os.O_NOCTTY)"
+        script += "; print('open', flush=True); sys.stdin.read()"
+        other = subprocess.Popen(
+            [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        other.stdout.readline()
+        assert main(["run", "--sensor", "s.onnx", "--source", device.path]) == 1
+        assert re.search(rf"{device.path}: taken by process {other.pid} \(python", capsys.readouterr().err)
+        other.communicate()
+        mine = os.open(device.path, os.O_RDWR | os.O_NOCTTY)
+        fcntl.flock(mine, fcntl.LOCK_EX)
+        assert main(["run", "--sensor", "s.onnx", "--source", device.path]) == 1
+        assert "taken by this process" in capsys.readouterr().err
+        os.close(mine)
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("telex:x", "unknown scheme 'telex'; known: .*csv, jsonl"),
+        ("csv:", "name a file"),
+        ("csv:none/out.csv", "none/out.csv: No such file"),
+        ("csv:x.csv?rate=fast", "rate=fast is not a rate"),
+        ("csv:x.csv?rate=1&decimate=worst", "decimate=worst; known: last, mean"),
+        ("csv:x.csv?colour=red", "unknown option 'colour'"),
+        ("stdout:xml", "write stdout:csv or stdout:jsonl"),
+    ],
+)
+def test_a_publisher_that_cannot_be_is_one_clear_line(here, capsys, url, message):
+    (here / "rec.csv").write_text("time_s,voltage_V,current_A\n0,1,1\n0.001,1,1\n")
+    assert main(["run", "--sensor", "s.onnx", "--source", "file:rec.csv", "--publish", url]) == 1
+    error = capsys.readouterr().err.splitlines()
+    assert len(error) == 1 and re.search(message, error[0]), error
+
+
+def write_recording(n=3000):
+    with open("rec.csv", "w") as file:
+        file.write(
+            "time_s,voltage_V,current_A\n"
+            + "".join(f"{k / 1000},{100 + k % 7},{8 + k % 3}\n" for k in range(n))
+        )
+
+
+def test_a_file_replayed_is_what_infer_gives(here, capsys):
+    write_recording()
+    assert run("--source", "file:rec.csv", "--rate", 0) == 0
+    replayed = capsys.readouterr().out
+    main(["infer", "rec.csv", "--sensor", "s.onnx", "-o", "-"])
+    assert replayed == capsys.readouterr().out
+    assert run("--source", "file:rec.csv?speed=20", "--rate", 0, "--publish", "csv:out.csv") == 0
+    assert "\n".join(lines("out.csv")) + "\n" == replayed
+
+
+def test_mean_decimation(here):
+    write_recording()
+    run(
+        "--source",
+        "file:rec.csv",
+        "--rate",
+        0,
+        "--publish",
+        "csv:all.csv",
+        "--publish",
+        "csv:mean.csv?rate=10&decimate=mean",
+    )
+    every = [[float(x) for x in line.split(",")] for line in lines("all.csv")[1:]]
+    mean = [[float(x) for x in line.split(",")] for line in lines("mean.csv")[1:]]
+    assert len(mean) == 30 and [row[0] for row in mean] == [row[0] for row in every[::100]]
+    for k in range(1, 30):
+        block = every[100 * k - 99 : 100 * k + 1]
+        assert mean[k][1] == pytest.approx(sum(row[1] for row in block) / 100, rel=1e-8)
+
+
+def test_frames_over_tcp_and_udp_and_a_pipe(here):
+    device = WireDevice(1000, 10, count=200)
+    wire = [frame for _, frame in device.frames()]
+    device.unplug()
+    expected = None
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve():
+        connection, _ = server.accept()
+        connection.sendall(b"".join(wire))
+        time.sleep(1.0)
+        connection.close()
+
+    threading.Thread(target=serve, daemon=True).start()
+    run(
+        "--source",
+        f"tcp://127.0.0.1:{server.getsockname()[1]}",
+        "--publish",
+        "csv:a.csv",
+        "--duration",
+        2,
+    )
+    server.close()
+    assert report()["samples"] == 2000
+    expected = lines("a.csv")
+
+    probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    probe.bind(("127.0.0.1", 0))
+    port = probe.getsockname()[1]
+    probe.close()
+
+    def send():
+        time.sleep(0.5)
+        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        for frame in wire:
+            sender.sendto(frame, ("127.0.0.1", port))
+            time.sleep(0.0005)
+        sender.close()
+
+    threading.Thread(target=send, daemon=True).start()
+    run("--source", f"udp://127.0.0.1:{port}", "--publish", "csv:b.csv", "--duration", 2)
+    assert lines("b.csv") == expected
+
+    command = [
+        sys.executable,
+        "-m",
+        "motorlens_runtime",
+        "run",
+        "--source",
+        "stdin:",
+        "--sensor",
+        "s.onnx",
+        "--publish",
+        "csv:c.csv",
+    ]
+    subprocess.run(command, input=b"".join(wire), check=True, capture_output=True)
+    assert lines("c.csv") == expected
+
+
+def test_a_reader_that_leaves_ends_it(here):
+    write_recording(200_000)
+    command = (
+        f"{sys.executable} -m motorlens_runtime run --source file:rec.csv --sensor s.onnx --rate 0 | head -2"
+    )
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
+    assert len(done.stdout.splitlines()) == 2 and "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_a_full_disk_does_not_stop_the_estimator(here, capsys):
+    write_recording(30_000)
+    assert run("--source", "file:rec.csv", "--publish", "csv:///dev/full", "--publish", "csv:good.csv") == 0
+    result = report()
+    full, good = result["outlets"]
+    assert full["errors"] > 0 and "No space left" in full["last_error"]
+    assert good["published"] == result["published"] == len(lines("good.csv")) - 1 == 3000
+    assert "/dev/full" in capsys.readouterr().err
+
+
+def test_a_blocked_consumer_delays_nothing_and_its_losses_are_counted(here):
+    write_recording(300_000)
+    read_end, write_end = os.pipe()
+    os.set_inheritable(write_end, True)
+    assert (
+        run(
+            "--source",
+            "file:rec.csv",
+            "--rate",
+            0,
+            "--publish",
+            f"csv:///proc/self/fd/{write_end}",
+            "--publish",
+            "csv:good.csv?rate=10",
+        )
+        == 0
+    )
+    blocked, good = report()["outlets"]
+    assert blocked["dropped"] > 100_000 and good["published"] == 3000 and good["dropped"] == 0
+    while select.select([read_end], [], [], 0.1)[0] and os.read(read_end, 1 << 16):
+        pass
+    os.close(write_end)
+    os.close(read_end)
