@@ -28,6 +28,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "tests"), str(HERE)]
 
 from helpers.hidden import Case, draw, generate  # noqa: E402
+from helpers.hidden.score import Row, failing, strata, summary  # noqa: E402
 
 SEALED = (("dev", 400, False), ("dev", 200, True), ("test", 1200, False), ("subset", 60, True))
 
@@ -152,6 +153,61 @@ def chosen(arguments: argparse.Namespace) -> list[Case]:
     return cases[:: arguments.every]
 
 
+def opened(directory: Path, name: str = "answers.jsonl") -> list[Row]:
+    """Truth, answer and seconds of every case answered."""
+    rows = []
+    for answer in read_lines(directory / name):
+        truth = json.loads((directory / "key" / f"{answer['id']}.json").read_text(encoding="utf-8"))
+        rows.append((truth, answer["answer"], answer["seconds"]))
+    return rows
+
+
+def print_score(arguments: argparse.Namespace) -> None:
+    """The table of rates, the strata, and what failed."""
+    directory = Path(arguments.directory)
+    rows = opened(directory)
+    table(("what", "goal", "measured"), summary(rows))
+    if arguments.strata:
+        table(("stratum", "wrong name", "false alarm", "detected", "right first", "in group"), strata(rows))
+    if arguments.failures:
+        Path(arguments.failures).write_text(failures(directory, rows), encoding="utf-8")
+
+
+def failures(directory: Path, rows: list[Row]) -> str:
+    """The cases that went wrong, as Markdown, each with the words to see it again."""
+    lines = ["| case | wrong | hidden | answer | strata |", "| --- | --- | --- | --- | --- |"]
+    for truth, answer, seconds in rows:
+        said = failing((truth, answer, seconds))
+        if not said:
+            continue
+        case = truth["case"]
+        hid = "; ".join(
+            f"{e['name']} {e['factor']:g}x = {e['size']:.3g} (energy {e['energy']:.0f}, twins {e['group'][:4]})"
+            for e in truth["hidden"]
+        )
+        told = (
+            "none"
+            if answer is None
+            else f"{answer.get('verdict')} {answer.get('chosen')} groups {answer.get('groups')} in {answer.get('equation')}"
+        )
+        kept = " ".join(
+            str(case[name]) for name in ("motor", "records", "excitation", "channels", "noise", "noise_kind")
+        )
+        lines.append(f"| {case['id']} | {', '.join(said)} | {hid or 'nothing'} | {told} | {kept} |")
+    return (
+        "\n".join(lines)
+        + f"\n\n{len(lines) - 2} of {len(rows)}; files with --only ID to `generate`; answers in {directory}\n"
+    )
+
+
+def table(head: tuple[str, ...], lines: Iterable[tuple[str, ...]]) -> None:
+    """Print a Markdown table."""
+    print("| " + " | ".join(head) + " |\n|" + " --- |" * len(head))
+    for line in lines:
+        print("| " + " | ".join(line) + " |")
+    print()
+
+
 def make(arguments: argparse.Namespace) -> None:
     """Write recordings and the key."""
     directory = Path(arguments.output)
@@ -188,6 +244,7 @@ def main() -> None:
             action.add_argument("--open-test", action="store_true")
     action = actions.add_parser("score")
     action.add_argument("directory")
+    action.add_argument("--strata", action="store_true", help="a line a stratum as well")
     action.add_argument("--failures", help="write the failing cases to this Markdown file")
     arguments = parser.parse_args()
     if arguments.action == "seal":
@@ -197,6 +254,8 @@ def main() -> None:
         make(arguments)
     elif arguments.action == "run":
         run(arguments)
+    elif arguments.action == "score":
+        print_score(arguments)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ Columns named `decoy_N` belong to no quantity.
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from helpers.hidden import effects as hidden_effects
@@ -37,6 +38,7 @@ from helpers.hidden.world import (
     HEADINGS,
     OUTPUTS,
     Case,
+    Record,
     Sized,
     build,
     decoys,
@@ -50,7 +52,7 @@ from helpers.hidden.world import (
     write_csv,
 )
 
-__all__ = ["Case", "Generated", "draw", "generate", "size_up"]
+__all__ = ["Case", "Generated", "draw", "generate", "generate_again", "size_up"]
 
 
 @dataclass(frozen=True)
@@ -104,10 +106,41 @@ def _sizes(case: Case) -> tuple[list[Sized], list[Judgement], list[bool]]:
 
 def generate(case: Case, directory: Path) -> Generated:
     """Write the recordings and the datasheet of a case into `directory`; the truth is returned, not written."""
-    directory.mkdir(parents=True, exist_ok=True)
     case, sized, judged, testable = size_up(case)
+    paths, motor, floor = _write(case, sized, directory)
+    truth: dict[str, object] = {
+        "case": case.as_json(),
+        "kind": case.kind,
+        "textbook": specimen(case),
+        "floor": floor,
+        "hidden": [
+            _told(case, effect, judgement, factor, able)
+            for effect, judgement, (_, factor), able in zip(sized, judged, case.hidden, testable, strict=True)
+        ],
+    }
+    return Generated(paths, motor, truth)
+
+
+def generate_again(truth: dict[str, Any], directory: Path) -> Generated:
+    """The files of a case whose truth is known: the same as `generate` wrote, without sizing anything up."""
+    case = Case(
+        **(truth["case"] | {"hidden": tuple((name, factor) for name, factor in truth["case"]["hidden"])})
+    )
+    sized = [
+        Sized(
+            hidden["name"],
+            hidden["size"] - (1.0 if hidden["name"].endswith("_gain") else 0.0),
+            hidden["shape"],
+        )
+        for hidden in truth["hidden"]
+    ]
+    paths, motor, _ = _write(case, sized, directory)
+    return Generated(paths, motor, truth)
+
+
+def _write(case: Case, sized: list[Sized], directory: Path) -> tuple[list[Path], Path, dict[str, float]]:
+    directory.mkdir(parents=True, exist_ok=True)
     textbook = specimen(case)
-    motor = case.of_motor()
     paths = []
     square: dict[str, list[float]] = {}
     for record in records_of(case):
@@ -117,27 +150,21 @@ def generate(case: Case, directory: Path) -> Generated:
         columns = {"time_s": time} | {HEADINGS[name]: shown[name] for name in CHANNEL_SETS[case.channels]}
         if not record.slow and "speed" in shown:
             # An encoder of 4096 counts.
-            columns["angle_rad"] = np.floor(states[:, 3] * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
+            columns["angle_rad"] = np.floor(states[:, plant.PHI] * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
         columns |= decoys(case, record, time, shown["current"])
         path = directory / ("slow.csv" if record.slow else "fast.csv")
         write_csv(path, columns)
         paths.append(path)
         for name, rms in _floor(case, record, textbook, sized, inputs, channels).items():
             square.setdefault(name, []).append(rms**2)
-    truth: dict[str, object] = {
-        "case": case.as_json(),
-        "kind": case.kind,
-        "textbook": textbook,
-        "floor": {name: float(np.sqrt(np.mean(values))) for name, values in square.items()},
-        "hidden": [
-            _told(case, effect, judgement, factor, able)
-            for effect, judgement, (_, factor), able in zip(sized, judged, case.hidden, testable, strict=True)
-        ],
-    }
-    return Generated(paths, motor.write_datasheet(directory / "motor.toml"), truth)
+    motor = case.of_motor().write_datasheet(directory / "motor.toml")
+    return paths, motor, {name: float(np.sqrt(np.mean(values))) for name, values in square.items()}
 
 
-def _floor(case, record, textbook, sized, inputs, channels) -> dict[str, float]:  # type: ignore[no-untyped-def]
+def _floor(
+    case: Case, record: Record, textbook: dict[str, float], sized: list[Sized], inputs: plant.Array,
+    channels: dict[str, plant.Array],
+) -> dict[str, float]:  # fmt: skip
     """The rms that the true model leaves in each output when it is driven by the measured inputs."""
     physics = [effect for effect in sized if "_sensor_" not in effect.name]
     _, shown = measured(case, record, channels, [])
