@@ -221,6 +221,9 @@ class Value:
     def __le__(self, other: Any) -> "Value":
         return self.recorder.apply("le", self, other)
 
+    def __ge__(self, other: Any) -> "Value":
+        return self.recorder.apply("le", other, self)
+
     def __getattr__(self, name: str) -> Any:
         """Functions by their names: `value.sqrt()`, `value.max(other)`, `condition.select(a, b)`."""
         if name not in OPERATIONS:

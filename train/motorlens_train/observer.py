@@ -1,0 +1,408 @@
+"""The physics observer inside a sensor: an extended Kalman filter in integral form, recorded as straight-line programs.
+
+Both voltage and current are measured, so the current is an input here, and the electrical balance, integrated over a window
+of `period_s`, is the measurement:
+
+    mean v - L (i_end - i_start) / T = R(theta) mean i + ke w - effects
+
+It holds whatever happens between the samples, it needs no current state, and L may be zero. The states are w, theta, those
+that effects bring, the load torque, and parameters that differ from motor to motor. Rates and Jacobians are those of
+the motor's own equations; every state is stepped exactly in its own derivative.
+
+A load is constant until it jumps. A jump shows as innovations too large for what the filter expects, one at once or
+several in a row; the load's variance is then opened, so that between jumps the filter may be sure of it.
+
+Three programs: `accumulate` at every sample, `correct` when a window is full, `read` when a value is asked for. The state is
+stored as its distance from the start, so that a state of zeros is a fresh observer.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.symbols import named
+from motorlens_train.observer_model import Equations, equations
+from motorlens_train.observer_program import Program, Recorder, Value, record
+
+Array = NDArray[np.float64]
+
+# What `accumulate` keeps, in this order; behind it stand `MEMORY`, the states and the upper half of their covariance.
+WINDOW = ("alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends", "sum_steps", "sum_changes")  # fmt: skip
+TIME = WINDOW.index("time")
+# Kept from window to window: the average of the innovations and the excess of their squares.
+MEMORY = ("drift", "restless")
+
+
+@dataclass(frozen=True)
+class ObserverSettings:
+    """What the observer assumes; None is taken from the motor file.
+
+    Attributes:
+        voltage_sd, current_sd: white noise of a sample, V and A; None: 0.2 % and 0.7 % of the rating plate.
+        period_s: window; None: a tenth of the mechanical time constant, at most 10 ms.
+        load_walk: of the load between jumps, rated torques per square root of a second.
+        load_jump: standard deviation of a jump, rated torques.
+        thermal_walk: of the winding beyond its model, K per square root of a second.
+        model_sd: what the electrical balance itself is good to, in rated voltages.
+        bend_sd: what the corrections for a current that bends within a window are good to, as a share of them.
+        rise_K, rise_sd_K: the winding at the start; None: three tenths of the rated rise, 1.5 times that.
+        alarm: squared normalised innovation that counts as a jump of the load.
+        rest: share of the rated speed below which the load may be anything.
+        tolerances: parameters that differ from motor to motor: key and standard deviation, relative.
+    """
+
+    voltage_sd: float | None = None
+    current_sd: float | None = None
+    period_s: float | None = None
+    load_walk: float = 0.002
+    load_jump: float = 0.7
+    thermal_walk: float = 0.0
+    model_sd: float = 2e-4
+    bend_sd: float = 0.2
+    rise_K: float | None = None
+    rise_sd_K: float | None = None
+    alarm: float = 12.0
+    rest: float = 0.01
+    tolerances: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Observer:
+    """The observer of a sensor.
+
+    Attributes:
+        period_s: a window is full after this time.
+        size: length S of the state.
+        accumulate: (voltage, current, ambient, dt, state) -> the first `len(WINDOW)` entries of the state.
+        correct: (ambient, state) -> state.
+        read: (ambient, state) -> outputs.
+        outputs: names of what `read` gives.
+    """
+
+    period_s: float
+    size: int
+    accumulate: Program
+    correct: Program
+    read: Program
+    outputs: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """As it stands under `observer` in a sensor's specification."""
+        programs = {name: getattr(self, name).document() for name in ("accumulate", "correct", "read")}
+        return {"period_s": self.period_s, "size": self.size, "window": len(WINDOW), "time": TIME, "outputs": list(self.outputs)} | programs
+
+    @property
+    def full_s(self) -> float:
+        """A window is full when its time reaches this: a millionth below the period, for grids that miss it by rounding."""
+        return self.period_s * (1 - 1e-6)
+
+    def run(
+        self, dt_s: Array, voltage_V: Array, current_A: Array, ambient_C: Array, state: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs (N, M) at every sample, and the state (S,) after the last; all inputs (N,)."""
+        start = np.zeros(self.size) if state is None else np.array(state, dtype=np.float64)
+        columns = np.column_stack([voltage_V, current_A, ambient_C, dt_s])
+        return _loop(self)(np.ascontiguousarray(columns), start)  # type: ignore[no-any-return]
+
+
+def observer(file: MotorFile, settings: ObserverSettings = ObserverSettings()) -> Observer:
+    """The observer of a motor: its textbook part and its effects (those that need the shaft angle left out)."""
+    return _Design(file, settings).observer()
+
+
+class _Design:
+    """One observer under construction: numbers from the motor file, symbols from its equations."""
+
+    def __init__(self, file: MotorFile, settings: ObserverSettings) -> None:
+        self.settings, self.rated, self.motor = settings, file.rated, file.motor
+        m, rated = file.motor, file.rated
+        self.period = settings.period_s or min(0.01, 0.1 * m.R_a0 * m.J / m.ke**2)
+        self.v_sd = settings.voltage_sd or 0.002 * rated.voltage_V
+        self.i_sd = settings.current_sd or 0.007 * rated.current_A
+        self.system: Equations = equations(m, [key for key, _ in settings.tolerances])
+        # The current is an input; a parameter that varies is a constant state.
+        self.parameters = tuple(key for key, _ in settings.tolerances)
+        self.states = (*self.system.states[1:], *self.parameters)
+        self.symbols = [*self.system.x[1:], *(self.system.free[key] for key in self.parameters)]
+        self.at = {name: k for k, name in enumerate(self.states)}
+        values = file.values()
+        rise = 0.3 * rated.rise_K if settings.rise_K is None else settings.rise_K
+        rise_sd = 0.45 * rated.rise_K if settings.rise_sd_K is None else settings.rise_sd_K
+        start = {"theta": rise} | {key: values[key] for key in self.parameters}
+        sd = {"w": rated.speed_rad_s / 4, "theta": rise_sd, "load": rated.torque_Nm}
+        sd |= {key: share * abs(values[key]) for key, share in settings.tolerances}
+        self.start = [start.get(name, 0.5 * rise if name.startswith("theta") else 0.0) for name in self.states]
+        self.sd = [sd.get(name, rise_sd if name.startswith("theta") else 0.0) for name in self.states]
+        n = len(self.states)
+        self.pairs = [(a, b) for a in range(n) for b in range(a, n)]
+        self.size = len(WINDOW) + len(MEMORY) + n + len(self.pairs)
+
+    def observer(self) -> Observer:
+        outputs, read = self.read()
+        return Observer(self.period, self.size, self.accumulate(), self.correct(), read, outputs)
+
+    def accumulate(self) -> Program:
+        r = Recorder()
+        v, i, _, dt = r.inputs(["voltage", "current", "ambient", "dt"])
+        alive, v_old, i_old, drag, i_start, time, sum_v, sum_i, sum_ii, sum_b, sum_hh, sum_c = r.inputs(WINDOW)
+        h = dt * alive
+        first = 1.0 - alive
+        # Where in the step the voltage changed nobody knows; what is below three deviations is noise.
+        change = ((v - v_old) * (v - v_old) - 18 * self.v_sd**2).max(0.0) * (1 / 12)
+        mean_square = (i * i + i_old * i_old + i * i_old) * (1 / 3)
+        # The current bends within a step that is not short against L/R; for a voltage that runs linearly the mean over the
+        # step is known exactly: (i + i_old)/2 + (tau/h - coth(h/(2 tau))/2)/R times how far the step is from steady state.
+        m = self.motor
+        mean = 0.5 * (i + i_old)
+        R = m.resistance(self.start[self.at["theta"]])
+        turns = h * (mean * (m.ke / m.J) + drag)
+        unsteady = (v - v_old) - R * (i - i_old) - m.ke * turns
+        bend = _bend(r, h, m.L / R) * unsteady * (1 / R) * alive
+        return r.program([
+            alive + first, v, i, drag, i_start + first * i, time + h, sum_v + h * 0.5 * (v + v_old), sum_i + h * mean,
+            sum_ii + h * mean_square, sum_b + h * bend, sum_hh + h * h, sum_c + h * h * change,
+        ])  # fmt: skip
+
+    def correct(self) -> Program:
+        r, n = Recorder(), len(self.states)
+        ambient = r.input("ambient")
+        window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
+        drift, restless = r.inputs(MEMORY)
+        x, P = self._unpack(r)
+        T = window["time"]
+        V, plain = window["sum_voltage"] / T, window["sum_current"] / T
+        I = plain + window["sum_bends"] / T
+        steps = window["sum_steps"]
+
+        rates, A = self._linearised(r, x, I, V, ambient)
+        # The copper heats by the mean square of the current, not by the square of its mean.
+        theta, w, load = self.at["theta"], self.at["w"], self.at["load"]
+        R = self._resistance(r, x)
+        rates[theta] = rates[theta] + R * (window["sum_square"] / T - I * I) / self.motor.H
+        F: list[list[Any]] = [[0.0] * n for _ in range(n)]
+        ahead = list(x)
+        for j in range(n):
+            own, reach = _exponential(A[j][j], T)
+            F[j] = [A[j][k] * reach if k != j else own for k in range(n)]
+            ahead[j] = x[j] + reach * rates[j]
+        P = _congruence(F, P)
+        gap = r.apply("le", 50 * self.period, T)
+        rated, motor, settings = self.rated, self.motor, self.settings
+        warming = motor.k0 * (1 + motor.kT * rated.speed_rad_s) * rated.rise_K / motor.H
+        unseen = gap.select((T * T * warming**2).min(self.sd[theta] ** 2), 0.0)
+        P[w][w] = P[w][w] + steps * (motor.ke * self.i_sd / motor.J) ** 2 + (1e-5 * rated.speed_rad_s) ** 2
+        P[theta][theta] = P[theta][theta] + T * settings.thermal_walk**2 + unseen
+        P[load][load] = P[load][load] + T * (settings.load_walk * rated.torque_Nm) ** 2
+
+        # At rest, or nearly, the brake takes what it must: whatever was known of the load no longer holds.
+        near = x[w].abs() <= self.settings.rest * rated.speed_rad_s
+        P[load][load] = near.select(P[load][load].max(self.sd[load] ** 2), P[load][load])
+        middle = list(ahead)
+        # The mean speed of a window in which the current, and so the acceleration, changes.
+        sag = T * (window["current"] - window["current_start"]) * (motor.ke / motor.J / 12)
+        middle[w] = 0.5 * (ahead[w] + x[w]) - sag
+        balance, _ = self._balance(r, middle, I, V, ambient)
+        # A current that may be noise says nothing about the resistance.
+        limit = 3 * self.i_sd
+        _, slopes = self._balance(r, middle, plain - plain.min(limit).max(-limit), V, ambient)
+        change = (window["current"] - window["current_start"]) * self.motor.L / T
+        error = balance - change
+        H = [-slope for slope in slopes]
+        noise = (
+            (steps * (self.v_sd**2) + window["sum_changes"]) / (T * T) + R * R * steps * self.i_sd**2 / (T * T)
+            + (2 * (motor.L * self.i_sd) ** 2) / (T * T) + (settings.model_sd * rated.voltage_V) ** 2
+            + (R * (I - plain) * settings.bend_sd) * (R * (I - plain) * settings.bend_sd)
+            + (sag * (motor.ke * settings.bend_sd)) * (sag * (motor.ke * settings.bend_sd))
+        )  # fmt: skip
+        PH = [_dot(P[j], H) for j in range(n)]
+        S = _dot(H, PH) + noise
+        z = error / S.sqrt()
+        keep = math.exp(-1 / 10)
+        drift = keep * drift + (1 - keep) * z
+        sudden = r.apply("le", settings.alarm, z * z)
+        steady = r.apply("le", settings.alarm * (1 - keep) / (1 + keep), drift * drift)
+        jump = sudden.max(steady).max(gap)
+        opened = jump * (settings.load_jump * rated.torque_Nm) ** 2
+        drift = drift * (1.0 - jump)
+        # It jumped at some instant of the window, or before: by its end it has moved the speed along.
+        g: list[Any] = [0.0] * n
+        g[load], g[w] = 1.0, F[w][load]
+        for a in (w, load):
+            for b in (w, load):
+                P[a][b] = P[a][b] + opened * g[a] * g[b]
+        PH = [_dot(P[j], H) for j in range(n)]
+        S = _dot(H, PH) + noise
+        K = [PH[j] / S for j in range(n)]
+        # The current's noise is in the innovation and in the slope by which it is weighed; their product has a mean, by which
+        # a winding would seem to cool without end, unless it is made good (errors in variables; Söderström 2007,
+        # doi:10.1016/j.automatica.2006.11.025).
+        share = steps / (T * T)
+        excess = (limit * limit <= plain * plain).select(R * self.i_sd**2 * share * (1.0 - 0.5 * share) / S, 0.0)
+        per_A = self._per_ampere(x)
+        new = [ahead[j] + K[j] * error + P[j][theta] * per_A * excess for j in range(n)]
+        for a, b in self.pairs:
+            P[a][b] = P[a][b] - K[a] * PH[b]
+        for j in range(n):
+            P[j][j] = P[j][j].max(1e-14 * self.sd[j] ** 2) if self.sd[j] else P[j][j]
+        new[theta] = new[theta].max(-self.rated.rise_K).min(4 * self.rated.rise_K)
+        new[w] = new[w].max(-4 * self.rated.speed_rad_s).min(4 * self.rated.speed_rad_s)
+        restless = restless + (1 - math.exp(-1 / 100)) * (z * z - 1.0 - restless)
+        # What brakes the rotor, as an acceleration: the next window's samples need it.
+        drag = rates[w] - I * (motor.ke / motor.J)
+        fresh = [window["alive"], window["voltage"], window["current"], drag, window["current"], *[0.0] * (len(WINDOW) - 5)]
+        return r.program([*fresh, drift, restless, *self._pack(new, P)])
+
+    def read(self) -> tuple[tuple[str, ...], Program]:
+        r = Recorder()
+        ambient = r.input("ambient")
+        window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
+        drift, restless = r.inputs(MEMORY)
+        x, P = self._unpack(r)
+        w, theta = self.at["w"], self.at["theta"]
+        mean = 0.5 * (window["current"] + window["current_start"])
+        rates, _ = self._linearised(r, x, mean, window["voltage"], ambient)
+        outputs: dict[str, Any] = {"speed": x[w] + rates[w] * window["time"], "temperature": x[theta]}
+        variances = {"speed": P[w][w], "temperature": P[theta][theta]}
+        if self.parameters:
+            outputs["resistance"] = self._resistance(r, x)
+            variances["resistance"] = self._resistance_variance(r, x, P)
+        outputs["load"] = x[self.at["load"]]
+        for name in self.states:
+            if name not in ("w", "theta", "load"):
+                outputs[name] = x[self.at[name]]
+        for name, variance in variances.items():
+            outputs[f"log_{name}"] = (variance + 1e-12).log()
+        outputs["correlation"] = P[w][theta] / (P[w][w] * P[theta][theta] + 1e-30).sqrt()
+        outputs["drift"] = drift
+        # An outlier lifts the average of squares by orders of magnitude; its logarithm stays within reach.
+        outputs["restless"] = (restless.max(-0.9) + 1.0).log()
+        return tuple(outputs), r.program(list(outputs.values()))
+
+    def _unpack(self, r: Recorder) -> tuple[list[Value], list[list[Any]]]:
+        n = len(self.states)
+        x = [value + start for value, start in zip(r.inputs(list(self.states)), self.start, strict=True)]
+        P: list[list[Any]] = [[0.0] * n for _ in range(n)]
+        for a, b in self.pairs:
+            entry = r.input(f"P_{self.states[a]}_{self.states[b]}") + (self.sd[a] ** 2 if a == b else 0.0)
+            P[a][b] = P[b][a] = entry
+        return x, P
+
+    def _pack(self, x: Sequence[Any], P: Sequence[Sequence[Any]]) -> list[Any]:
+        packed = [value - start for value, start in zip(x, self.start, strict=True)]
+        return packed + [P[a][b] - (self.sd[a] ** 2 if a == b else 0.0) for a, b in self.pairs]
+
+    def _values(self, x: Sequence[Any], current: Any, voltage: Any, ambient: Any) -> dict[Any, Any]:
+        inputs = {named("x_i"): current, named("u_v"): voltage, named("u_ambient"): ambient}
+        return dict(zip(self.symbols, x, strict=True)) | inputs
+
+    def _linearised(
+        self, r: Recorder, x: Sequence[Any], current: Any, voltage: Any, ambient: Any
+    ) -> tuple[list[Any], list[list[Any]]]:
+        import sympy as sp
+
+        values = self._values(x, current, voltage, ambient)
+        rates = [*self.system.rates[1:], *(sp.Integer(0) for _ in self.parameters)]
+        recorded = [record(rate, values, r) for rate in rates]
+        jacobian = [[record(sp.diff(rate, symbol), values, r) for symbol in self.symbols] for rate in rates]
+        return recorded, jacobian
+
+    def _balance(
+        self, r: Recorder, x: Sequence[Any], current: Any, voltage: Any, ambient: Any
+    ) -> tuple[Any, list[Any]]:
+        import sympy as sp
+
+        values, voltage_balance = self._values(x, current, voltage, ambient), self.system.voltage
+        slopes = [record(sp.diff(voltage_balance, symbol), values, r) for symbol in self.symbols]
+        return record(voltage_balance, values, r), slopes
+
+    def _resistance(self, r: Recorder, x: Sequence[Any]) -> Any:
+        R_a0, alpha = (x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha"))
+        return R_a0 * (1 + alpha * x[self.at["theta"]])
+
+    def _per_ampere(self, x: Sequence[Any]) -> Any:
+        """Derivative of the resistance by the winding's temperature."""
+        R_a0, alpha = (x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha"))
+        return R_a0 * alpha
+
+    def _resistance_variance(self, r: Recorder, x: Sequence[Any], P: Sequence[Sequence[Any]]) -> Any:
+        gradient: list[Any] = [0.0] * len(self.states)
+        theta = x[self.at["theta"]]
+        R_a0, alpha = (x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha"))
+        gradient[self.at["theta"]] = R_a0 * alpha
+        if "R_a0" in self.at:
+            gradient[self.at["R_a0"]] = 1 + alpha * theta
+        if "alpha" in self.at:
+            gradient[self.at["alpha"]] = R_a0 * theta
+        return _dot(gradient, [_dot(row, gradient) for row in P])
+
+
+def _bend(r: Recorder, h: Value, tau: float) -> Any:
+    """tau / h - coth(h / (2 tau)) / 2, which is -h / (12 tau) for short steps; 0 without inductance."""
+    if tau <= 0.0:
+        return 0.0
+    decay = (h * (-1 / tau)).exp()
+    short = h <= 1e-3 * tau
+    safe = short.select(tau, h)
+    away = short.select(0.5, decay)
+    return short.select(h * (-1 / (12 * tau)), tau / safe - 0.5 * (1.0 + away) / (1.0 - away))
+
+
+def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    total: Any = 0.0
+    for left, right in zip(a, b, strict=True):
+        if not (isinstance(left, float) and left == 0.0) and not (isinstance(right, float) and right == 0.0):
+            total = total + left * right
+    return total
+
+
+def _congruence(F: Sequence[Sequence[Any]], P: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """F P F^T, of which the upper half is computed."""
+    n = len(F)
+    FP = [[_dot(F[a], [P[k][b] for k in range(n)]) for b in range(n)] for a in range(n)]
+    out: list[list[Any]] = [[0.0] * n for _ in range(n)]
+    for a in range(n):
+        for b in range(a, n):
+            out[a][b] = out[b][a] = _dot(FP[a], F[b])
+    return out
+
+
+def _exponential(rate: Any, T: Any) -> tuple[Any, Any]:
+    """exp(rate T), and its integral over the window."""
+    if isinstance(rate, float) or rate.number is not None:
+        number = rate if isinstance(rate, float) else rate.number
+        if number == 0.0:
+            return 1.0, T
+    decay = (rate * T).exp()
+    small = (rate * T).abs() <= 1e-7
+    return decay, small.select(T, (decay - 1.0) / small.select(1.0, rate))
+
+
+@cache
+def _loop(design: Observer) -> Any:
+    accumulate, correct, read = (p.compiled() for p in (design.accumulate, design.correct, design.read))
+    size, width, full, M = design.size, len(WINDOW), design.full_s, len(design.outputs)
+
+    @njit(error_model="numpy")
+    def run(columns: Array, state: Array) -> tuple[Array, Array]:  # pragma: no cover - compiled
+        out = np.empty((len(columns), M))
+        sample, window = np.empty(4 + width), np.empty(1 + size)
+        new = np.empty(size)
+        for k in range(len(columns)):
+            sample[:4], sample[4:] = columns[k], state[:width]
+            accumulate(sample, state[:width])
+            if state[TIME] >= full:
+                window[0], window[1:] = columns[k, 2], state
+                correct(window, new)
+                state[:] = new
+            window[0], window[1:] = columns[k, 2], state
+            read(window, out[k])
+        return out, state
+
+    return run
