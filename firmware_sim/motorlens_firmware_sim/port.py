@@ -82,11 +82,3 @@ class PtyPort:
                     raise
                 break
         return taken
-
-    def pending(self) -> int:
-        """Bytes written that the other side has not read yet."""
-        import fcntl
-        import termios
-
-        answer = fcntl.ioctl(self._master, termios.TIOCOUTQ, b"\0\0\0\0")
-        return int.from_bytes(answer, "little")

@@ -19,6 +19,8 @@ from types import FrameType
 from motorlens_runtime.cli import add_json_argument, write_json
 from motorlens_runtime.errors import DataError
 
+LINGER_S = 1.0
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
@@ -83,9 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
             sent, dropped = sent + sending.samples, dropped + sending.samples * (taken < len(sending.data))
             if not port.has_reader():
                 break
-        deadline = time.monotonic() + 5.0
-        while port.has_reader() and port.pending() and time.monotonic() < deadline:
-            stop.sleep(0.02)
+        # Closing the port throws away what the listener has not read yet.
+        stop.sleep(LINGER_S if port.has_reader() else 0.0)
     print(f"motorlens drive: {sent - dropped} samples sent, {dropped} lost on the line", file=sys.stderr)
     write_json(
         {"schema": "motorlens.drive/1", "sent": sent - dropped, "lost": dropped, "rate_Hz": arguments.rate},
