@@ -99,7 +99,8 @@ def sensitivities(
         motor: the motor.
         inputs: what acts on it.
         initial: initial states, as of `simulate`.
-        keys: parameters of the motor ("R_a0", "coulomb_friction.tau_c") and initial states ("initial.theta").
+        keys: parameters of the motor ("R_a0", "coulomb_friction.tau_c"), initial states ("initial.theta") and constants
+            added to the inputs ("input.voltage", "input.load_torque", "input.ambient").
         candidates: effects that the motor lacks, with their shapes chosen; their switches are taken at null.
         tolerance: of the simulation's steps.
         smooth: whether friction is smooth, see `simulate`.

@@ -22,6 +22,8 @@ from motorlens_physics.parameter import parameters
 # tanh(20) is 1 to the last bit of a float64.
 _SATURATED = 20
 INPUTS = ("v", "load", "ambient")
+# Keys of sensitivities to a constant that is added to an input.
+INPUT_KEYS = ("input.voltage", "input.load_torque", "input.ambient")
 # The inductance, inertia and heat capacity that stand before the derivatives of the three textbook states.
 MASSES = {"i": "L", "w": "J", "theta": "H"}
 
@@ -99,8 +101,9 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = Fal
 
     at_null = {symbol[switch_key(effect)]: sp.Float(effect.switch().null) for effect in candidates}
     of_motor = len(motor.states())
+    variable = symbol | dict(zip(INPUT_KEYS, (named(f"u_{name}") for name in INPUTS), strict=True))
     forcings = {
-        key: tuple(sp.diff(f, symbol[key]).subs(at_null) for f in balances[:of_motor])
+        key: tuple(sp.diff(f, variable[key]).subs(at_null) for f in balances[:of_motor])
         for key in (forcing_keys(motor, candidates) if forced else ())
     }
     balances = [f.subs(at_null) for f in balances]
@@ -119,11 +122,11 @@ def switch_key(effect: Effect) -> str:
 
 
 def forcing_keys(motor: Motor, candidates: Sequence[Effect] = ()) -> tuple[str, ...]:
-    """Keys of all parameters whose sensitivities can be had: the motor's that are not fixed, the candidates' switches."""
+    """What has sensitivities: parameters of the motor that are not fixed, offsets of inputs, candidates' switches."""
     own = [name for name, parameter in parameters(motor).items() if not parameter.fixed]
     for effect in motor.effects:
         own += [f"{effect.name()}.{name}" for name, p in effect.parameters().items() if not p.fixed]
-    return (*own, *(switch_key(effect) for effect in candidates))
+    return (*own, *INPUT_KEYS, *(switch_key(effect) for effect in candidates))
 
 
 def parameter_keys(motor: Motor, candidates: Sequence[Effect] = ()) -> tuple[str, ...]:

@@ -1,0 +1,342 @@
+"""Calibration: parameters of a motor from recordings, with honest uncertainty.
+
+The motor is simulated from the measured inputs and compared with all that was measured (output error, Ljung 1999, System
+Identification, 2nd ed., section 4.3): consistent for a motor in a closed loop too, since nothing but the inputs is
+taken from the measurement. Levenberg-Marquardt on analytic sensitivities; each channel weights itself by its own noise
+(concentrated likelihood), whose colour is estimated and whitened; outliers count by Huber's loss; priors come from the
+motor file. Every recording has initial states of its own. Free runs that are unstable or drift are cut into windows
+that are tied together at their ends (multiple shooting, Bock 1981, doi:10.1007/978-3-642-68220-9_8).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from motorlens_physics.calibration_noise import Noise, estimate, huber_loss, huber_weights
+from motorlens_physics.calibration_problem import (
+    LOAD,
+    Assignment,
+    Run,
+    Unknown,
+    assign,
+    differentiate,
+    local_unknowns,
+    parameter_unknowns,
+    predict,
+    runs_of,
+)
+from motorlens_physics.motor_file import Knowledge, MotorFile
+from motorlens_physics.recording import Recording
+from motorlens_physics.sensitivity import INITIAL
+from motorlens_physics.simulation import Array, cores
+from motorlens_runtime.errors import ModelError
+
+# Steps adapt to this relative error; noise is larger by orders of magnitude.
+TOLERANCE = 1e-5
+# Largest gap between the end of a window and the next one's initial state, as a share of the rated quantity.
+GAP = 1e-3
+# A parameter whose deviation shrank by less than this share is not identified.
+SHRUNK = 0.9
+# Smallest noise that is believed, as a share of the channel's largest value.
+SMALLEST_NOISE = 1e-6
+ITERATIONS = 60
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration found.
+
+    Attributes:
+        keys: the free parameters, k of them.
+        value: by key.
+        sd: standard deviation by key; of a parameter fitted in its logarithm, the value times that of the logarithm.
+        correlation: (k, k).
+        unidentified: what the recordings do not tell, by key, in words.
+        residuals: for each recording, channel to measured less predicted (N,).
+        noise_sd: for each recording, channel to the deviation of its residuals.
+        initial: for each recording, its initial state.
+        load_torque_Nm: for each recording, the constant load fitted; empty if none was asked for.
+        iterations: accepted steps.
+        converged: whether the last step was small against the deviations.
+        file: the motor file with values, deviations and sources of what was identified written in.
+    """
+
+    keys: tuple[str, ...]
+    value: Mapping[str, float]
+    sd: Mapping[str, float]
+    correlation: Array
+    unidentified: Mapping[str, str]
+    residuals: tuple[Mapping[str, Array], ...]
+    noise_sd: tuple[Mapping[str, float], ...]
+    initial: tuple[Mapping[str, float], ...]
+    load_torque_Nm: tuple[float, ...]
+    iterations: int
+    converged: bool
+    file: MotorFile
+
+
+def calibrate(
+    file: MotorFile,
+    recordings: Sequence[Recording],
+    free: Sequence[str],
+    *,
+    held: bool = False,
+    fit_load: bool = False,
+    window_s: float | None = None,
+    colour: int | None = None,
+    start_sd_K: float = 2.0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Calibration:
+    """Fit parameters to recordings jointly.
+
+    Args:
+        file: the motor, with what is known of it; deviations stated there are priors.
+        recordings: any subset of current, speed and temperature measured; rates may differ. Load torque absent is zero.
+        free: keys of parameters of motor, effects and sensors.
+        held: whether inputs hold between samples; otherwise they run linearly.
+        fit_load: whether each recording has an unknown constant load torque besides what was recorded.
+        window_s: length of the windows of multiple shooting; None simulates each recording in one run.
+        colour: order of the autoregression that whitens residuals; 0 takes them as white, None decides by them.
+        start_sd_K: how far a motor whose temperature was not measured may be from ambient at first, as a deviation.
+        progress: told what goes on.
+
+    Raises:
+        DataError: recordings that cannot be used.
+        ModelError: unknown or fixed parameters, or a motor that cannot be simulated where it starts.
+    """
+    if not recordings or not free:
+        raise ModelError("calibration needs at least one recording and one free parameter")
+    runs = runs_of(file, recordings, held=held, window_s=window_s)
+    unknowns = parameter_unknowns(file, free)
+    unknowns += local_unknowns(file, runs, fit_load=fit_load, start_sd_K=start_sd_K)
+    problem = _Problem(file, runs, unknowns)
+    q, noise, iterations, converged = _minimise(problem, colour, progress)
+    normal, _ = _normal_equations(problem, q, noise)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    return _report(problem, recordings, q, noise, covariance, iterations, converged)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    file: MotorFile
+    runs: Sequence[Run]
+    unknowns: Sequence[Unknown]
+
+    @property
+    def means(self) -> Array:
+        """Where the fit starts: the centres of the priors."""
+        return np.array([unknown.coordinate(unknown.mean) for unknown in self.unknowns])
+
+    @property
+    def sds(self) -> Array:
+        """Deviations of the priors."""
+        return np.array([unknown.sd for unknown in self.unknowns])
+
+    def at(self, q: Array) -> list[Assignment]:
+        """All runs at the coordinates q."""
+        return [assign(self.file, self.unknowns, q, k, run) for k, run in enumerate(self.runs)]
+
+    def predictions(self, q: Array) -> list[tuple[dict[str, Array], Array]]:
+        """What every run shows, and where it ends."""
+
+        def one(k: int) -> tuple[dict[str, Array], Array]:
+            return predict(self.runs[k], points[k], tolerance=TOLERANCE)
+
+        points = self.at(q)
+        with ThreadPoolExecutor(cores()) as pool:
+            return list(pool.map(one, range(len(self.runs))))
+
+    def ties(self) -> list[tuple[int, int]]:
+        """Pairs of neighbouring windows."""
+        pairs = zip(range(len(self.runs) - 1), range(1, len(self.runs)), strict=True)
+        return [(a, b) for a, b in pairs if self.runs[a].recording == self.runs[b].recording]
+
+    def gaps(self) -> Array:
+        """Deviations of the gaps between windows, per state."""
+        rated = self.file.rated
+        sizes = {"i": rated.current_A, "w": rated.speed_rad_s, "theta": rated.rise_K}
+        return np.array([GAP * sizes.get(name, 1.0) for name in self.file.motor.states()])
+
+
+def _residual(run: Run, shown: Mapping[str, Array], channel: str) -> Array:
+    return run.measured[channel] - shown[channel]
+
+
+def _loss(problem: _Problem, q: Array, noise: Sequence[Mapping[str, Noise]]) -> float:
+    """Huber's loss of everything measured, and the priors; infinite where the motor cannot be simulated."""
+    try:
+        predictions = problem.predictions(q)
+    except ModelError:
+        return float("inf")
+    loss = 0.5 * float(np.sum(((q - problem.means) / problem.sds) ** 2))
+    for run, (shown, _), sizes in zip(problem.runs, predictions, noise, strict=True):
+        for channel, size in sizes.items():
+            loss += huber_loss(size.whitened(np.nan_to_num(_residual(run, shown, channel))))
+    points, names, gaps = problem.at(q), list(problem.file.motor.states()), problem.gaps()
+    for a, b in problem.ties():
+        gap = predictions[a][1] - np.array([points[b].start[name] for name in names])
+        loss += 0.5 * float(np.sum((gap / gaps) ** 2))
+    return loss if np.isfinite(loss) else float("inf")
+
+
+def _normal_equations(
+    problem: _Problem, q: Array, noise: Sequence[Mapping[str, Noise]]
+) -> tuple[Array, Array]:
+    """Gauss-Newton: the matrix and the right-hand side, priors included."""
+    points = problem.at(q)
+    slopes = np.array([unknown.slope(unknown.value(q[j])) for j, unknown in enumerate(problem.unknowns)])
+
+    def one(k: int) -> tuple[Array, Array, Array, Array]:
+        run, at, sizes = problem.runs[k], points[k], noise[k]
+        keys = [problem.unknowns[j].key for j in at.own]
+        shown, columns, end, ends = differentiate(run, at, keys, tolerance=TOLERANCE)
+        normal, right = np.zeros((len(keys), len(keys))), np.zeros(len(keys))
+        for channel, size in sizes.items():
+            residual = _residual(run, shown, channel)
+            missing = ~np.isfinite(residual)
+            jacobian = columns[channel] * slopes[list(at.own)]
+            jacobian[missing] = 0.0
+            white, e = size.whitened(jacobian), size.whitened(np.nan_to_num(residual))
+            weights = huber_weights(e)
+            normal += white.T @ (weights[:, None] * white)
+            right += white.T @ (weights * e)
+        return normal, right, end, ends * slopes[list(at.own)]
+
+    with ThreadPoolExecutor(cores()) as pool:
+        parts = list(pool.map(one, range(len(problem.runs))))
+    normal = np.diag(1.0 / problem.sds**2)
+    right = (problem.means - q) / problem.sds**2
+    for at, (own_normal, own_right, _, _) in zip(points, parts, strict=True):
+        own = list(at.own)
+        normal[np.ix_(own, own)] += own_normal
+        right[own] += own_right
+    names, gaps = list(problem.file.motor.states()), problem.gaps()
+    starts = {
+        (unknown.run, unknown.key.removeprefix(INITIAL)): j
+        for j, unknown in enumerate(problem.unknowns)
+        if unknown.run is not None
+    }
+    for a, b in problem.ties():
+        tie = np.zeros((len(names), len(q)))
+        tie[:, list(points[a].own)] = parts[a][3]
+        for r, name in enumerate(names):
+            if (b, name) in starts:
+                tie[r, starts[b, name]] -= 1.0
+        gap = parts[a][2] - np.array([points[b].start[name] for name in names])
+        tie /= gaps[:, None]
+        normal += tie.T @ tie
+        right -= tie.T @ (gap / gaps)
+    return normal, right
+
+
+def _noise(problem: _Problem, q: Array, colour: int | None) -> list[dict[str, Noise]]:
+    """The noise of each channel, from the residuals of all windows of its recording."""
+    residuals: dict[tuple[int, str], list[Array]] = {}
+    predictions = problem.predictions(q)
+    for run, (shown, _) in zip(problem.runs, predictions, strict=True):
+        for channel in run.measured:
+            residuals.setdefault((run.recording, channel), []).append(_residual(run, shown, channel))
+    found = {}
+    for (recording, channel), parts in residuals.items():
+        of_channel = [run.measured[channel] for run in problem.runs if run.recording == recording]
+        largest = float(np.nanmax(np.abs(np.concatenate(of_channel)), initial=0.0))
+        floor = max(SMALLEST_NOISE * largest, 1e-12)
+        found[recording, channel] = estimate(np.concatenate(parts), floor, order=colour)
+    return [{channel: found[run.recording, channel] for channel in run.measured} for run in problem.runs]
+
+
+def _minimise(
+    problem: _Problem, colour: int | None, progress: Callable[[str], None]
+) -> tuple[Array, list[dict[str, Noise]], int, bool]:
+    """Levenberg-Marquardt: first with white noise, then with its colour, its size estimated anew after every step."""
+    q = problem.means
+    accepted, converged = 0, False
+    noise = _noise(problem, q, 0)
+    for order in (0,) if colour == 0 else (0, colour):
+        damping, converged = 1e-3, False
+        noise = _noise(problem, q, order)
+        while accepted < ITERATIONS and not converged:
+            loss = _loss(problem, q, noise)
+            normal, right = _normal_equations(problem, q, noise)
+            scale = np.diag(np.diag(normal))
+            while True:
+                change = np.linalg.solve(normal + damping * scale, right)
+                # In units of what the data can tell.
+                size = float(np.sqrt(max(change @ normal @ change, 0.0)))
+                trial = _within_bounds(problem, q + change)
+                lower = _loss(problem, trial, noise)
+                if lower < loss or size < 1e-3:
+                    break
+                damping *= 8.0
+                if damping > 1e12:
+                    break
+            if lower < loss:
+                q, accepted, damping = trial, accepted + 1, max(damping / 8.0, 1e-12)
+                noise = _noise(problem, q, order)
+                progress(f"step {accepted}: {size:.3g} deviations")
+            converged = size < 1e-2 or lower >= loss
+    return q, noise, accepted, converged
+
+
+def _within_bounds(problem: _Problem, q: Array) -> Array:
+    return np.array(
+        [unknown.coordinate(unknown.value(x)) for unknown, x in zip(problem.unknowns, q, strict=True)]
+    )
+
+
+def _report(
+    problem: _Problem,
+    recordings: Sequence[Recording],
+    q: Array,
+    noise: Sequence[Mapping[str, Noise]],
+    covariance: Array,
+    iterations: int,
+    converged: bool,
+) -> Calibration:
+    unknowns = problem.unknowns
+    count = sum(unknown.recording is None for unknown in unknowns)
+    deviations = np.sqrt(np.diag(covariance))
+    value = {unknown.key: unknown.value(q[j]) for j, unknown in enumerate(unknowns[:count])}
+    sd = {u.key: float(deviations[j] * u.slope(value[u.key])) for j, u in enumerate(unknowns[:count])}
+    correlation = covariance[:count, :count] / np.outer(deviations[:count], deviations[:count])
+    unidentified = {}
+    for j, unknown in enumerate(unknowns[:count]):
+        left = deviations[j] / unknown.sd
+        if left > SHRUNK:
+            unit = problem.file.meaning(unknown.key).unit
+            unidentified[unknown.key] = (
+                f"{unknown.key}: these recordings do not tell it ({left:.0%} of its prior deviation is left); "
+                f"it stays at {unknown.mean:.4g} {unit}"
+            )
+            value[unknown.key] = unknown.mean
+    names = ", ".join(recording.name for recording in recordings)
+    known = {key: Knowledge(sd[key], f"calibrated on {names}") for key in value if key not in unidentified}
+    predictions = problem.predictions(q)
+    points = problem.at(q)
+    residuals: list[dict[str, Array]] = [{} for _ in recordings]
+    for run, (shown, _) in zip(problem.runs, predictions, strict=True):
+        for channel in run.measured:
+            whole = residuals[run.recording].setdefault(
+                channel, np.full(len(recordings[run.recording]), np.nan)
+            )
+            whole[run.rows] = _residual(run, shown, channel)
+    firsts = [
+        next(k for k, run in enumerate(problem.runs) if run.recording == r) for r in range(len(recordings))
+    ]
+    fitted_load = any(unknown.key == LOAD for unknown in unknowns)
+    return Calibration(
+        keys=tuple(value),
+        value=value,
+        sd=sd,
+        correlation=correlation,
+        unidentified=unidentified,
+        residuals=tuple(residuals),
+        noise_sd=tuple({c: size.marginal_sd for c, size in noise[k].items()} for k in firsts),
+        initial=tuple(points[k].start for k in firsts),
+        load_torque_Nm=tuple(points[k].load for k in firsts) if fitted_load else (),
+        iterations=iterations,
+        converged=converged,
+        file=problem.file.with_values({key: value[key] for key in known}, known),
+    )
