@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.bank import FilterBank
 from motorlens_runtime.estimator import EstimatorState
-from motorlens_runtime.features import Signals, drive_of
 from motorlens_runtime.gate import Samples
 from motorlens_runtime.quality import Quality
 from motorlens_runtime.sensor import Sensor
@@ -124,20 +123,22 @@ def restore(snapshot: Snapshot, sensor: Sensor, device: str, wall_time_ns: int) 
         return "the snapshot does not fit the sensor; the motor is taken to be cold"
     off_s = max(wall_time_ns - snapshot.wall_time_ns, 0) * 1e-9
     bank = sensor.bank
-    values = aged(sensor, bank, np.array(snapshot.values), off_s, snapshot.ambient_C)
+    values = aged(bank, np.array(snapshot.values), off_s, snapshot.ambient_C)
     message = f"heat remembered from {off_s:.0f} s ago"
     if wall_time_ns < snapshot.wall_time_ns:
         message = "heat remembered; the clock stands before the snapshot, so no cooling is counted"
     return Restored(EstimatorState(bank.start(values)), off_s, message)
 
 
-def aged(sensor: Sensor, bank: FilterBank, values: Array, off_s: float, ambient_C: float | None) -> Array:
-    """Filter values (S,) after `off_s` seconds without voltage and current at the same ambient temperature."""
-    rest = np.zeros(1)
-    ambient = None if ambient_C is None else np.array([ambient_C])
-    drive = drive_of(bank, Signals(sensor.specification, rest, rest, ambient))
-    state, _ = bank.advance(bank.start(values), np.array([off_s]), drive)
-    return bank.values(state)
+def aged(bank: FilterBank, values: Array, off_s: float, ambient_C: float | None) -> Array:
+    """Filter values (S,) after `off_s` seconds without voltage and current at the same ambient temperature.
+
+    At rest every signal is zero but the constant one and the ambient temperature.
+    """
+    rest = {"one": 1.0, "ambient": ambient_C or 0.0}
+    u = np.array([rest.get(signal, 0.0) for signal in bank.signals])
+    result: Array = u + (values - u) * np.exp(-off_s / bank.tau_s)
+    return result
 
 
 def flagged(samples: Samples, restored_until_ns: int) -> Samples:
