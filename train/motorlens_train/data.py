@@ -71,7 +71,9 @@ def cycle(recording: Recording, bank: Bank, outputs: Sequence[str], rows: Rows |
     """
     channels = recording.channels
     if "current" not in channels:
-        raise DataError(f"{recording.name}: no current; a sensor needs voltage and current: --column current=NAME")
+        raise DataError(
+            f"{recording.name}: no current; a sensor needs voltage and current: --column current=NAME"
+        )
     voltage, current = np.asarray(channels["voltage"]), np.asarray(channels["current"])
     ambient = np.asarray(channels["ambient"]) if bank.ambient else None
     y = np.stack([target(recording, name, bank.ambient) for name in outputs], axis=1)
@@ -92,7 +94,9 @@ def cycle(recording: Recording, bank: Bank, outputs: Sequence[str], rows: Rows |
 def arrays(cycles: Sequence[Cycle]) -> Arrays:
     """All rows of some cycles, one after another, as the trainer reads them."""
     return Arrays(
-        np.concatenate([c.x for c in cycles]), np.concatenate([c.y for c in cycles]), tuple(len(c.x) for c in cycles)
+        np.concatenate([c.x for c in cycles]),
+        np.concatenate([c.y for c in cycles]),
+        tuple(len(c.x) for c in cycles),
     )
 
 
@@ -119,5 +123,6 @@ def scale_of(cycles: Sequence[Cycle], names: Sequence[str]) -> tuple[Output, ...
     units = {"speed": "rad/s", "temperature": "K", "resistance": "ohm"}
     y = np.concatenate([c.y for c in cycles])
     return tuple(
-        Output(name, units[name], float(f"{max(float(y[:, k].std()), 1e-9):.2g}")) for k, name in enumerate(names)
+        Output(name, units[name], float(f"{max(float(y[:, k].std()), 1e-9):.2g}"))
+        for k, name in enumerate(names)
     )

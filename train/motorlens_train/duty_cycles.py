@@ -33,6 +33,7 @@ class TrainingDuty(Scenario):
     """
 
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
+        """What to do to this motor."""
         pace, plate = time_constants(file.motor), file.rated
         time = grid(self.duration_s, self.period_s)
         shortest = 5 * pace.mechanical_s
@@ -53,7 +54,9 @@ class TrainingDuty(Scenario):
         return Plan((Phase(inputs),), {"theta": warm})
 
 
-def duty_cycle(file: MotorFile, noise: Noise, rate_Hz: float, longest_s: float, rng: np.random.Generator) -> Recording:
+def duty_cycle(
+    file: MotorFile, noise: Noise, rate_Hz: float, longest_s: float, rng: np.random.Generator
+) -> Recording:
     """One cycle of random length (to `longest_s`, spread evenly in its logarithm), true but for noisy voltage and current.
 
     Long cycles are sampled more slowly than `rate_Hz`, to at most a million rows and down to a quarter of the rate.
@@ -86,13 +89,23 @@ def instants(recording: Recording, count: int, noise: Noise, rng: np.random.Gene
     voltage = recording.channels["voltage"]
     jumps = np.flatnonzero(np.abs(np.diff(voltage)) > 12 * noise.voltage_V + 1e-9) + 1
     starts = np.concatenate([[0], jumps])
-    behind = np.exp(rng.uniform(0, np.log(max(2.0, min(rows, 5.0 / recording.period_s))), count // 2)).astype(np.int64) - 1
+    behind = (
+        np.exp(rng.uniform(0, np.log(max(2.0, min(rows, 5.0 / recording.period_s))), count // 2)).astype(
+            np.int64
+        )
+        - 1
+    )
     near = rng.choice(starts, count // 2) + behind
     return np.unique(np.concatenate([rng.integers(0, rows, count - count // 2), near[near < rows]]))
 
 
 def cycles(
-    file: MotorFile, noise: Noise, rate_Hz: float, longest_s: float, seeds: list[list[int]], done: Callable[[int], None]
+    file: MotorFile,
+    noise: Noise,
+    rate_Hz: float,
+    longest_s: float,
+    seeds: list[list[int]],
+    done: Callable[[int], None],
 ) -> list[Recording]:
     """One cycle a seed; `done` is told how many there are so far."""
     made = []

@@ -48,8 +48,12 @@ def step_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False
     graph = _Graph(np.float64 if double else np.float32)
     bank = sensor.bank
     stack = graph.add("Concat", [_signal(graph, name, bank) for name in bank.signals], axis=0)
-    drive = graph.add("Gather", [stack, graph.whole([bank.signals.index(f.signal) for f in bank.filters])], axis=0)
-    decay = graph.add("Exp", [graph.add("Div", [graph.add("Neg", ["dt"]), graph.exact([f.tau_s for f in bank.filters])])])
+    drive = graph.add(
+        "Gather", [stack, graph.whole([bank.signals.index(f.signal) for f in bank.filters])], axis=0
+    )
+    decay = graph.add(
+        "Exp", [graph.add("Div", [graph.add("Neg", ["dt"]), graph.exact([f.tau_s for f in bank.filters])])]
+    )
     kept = graph.add("Mul", [graph.add("Sub", ["state", drive]), decay])
     state = graph.add("Add", [drive, kept], "next_state")
     everything = graph.add("Concat", [stack, state, graph.exact([0.0])], axis=0)
@@ -63,13 +67,22 @@ def step_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False
     return graph.model(
         sensor.name + ".step",
         [*((name, np.float64, [1]) for name in inputs), ("state", np.float64, [filters])],
-        [("estimate", np.float64, [outputs]), ("sigma", np.float64, [outputs]), ("next_state", np.float64, [filters])],
+        [
+            ("estimate", np.float64, [outputs]),
+            ("sigma", np.float64, [outputs]),
+            ("next_state", np.float64, [filters]),
+        ],
         metadata,
     )
 
 
 def write_sensor(
-    sensor: Sensor, card: Mapping[str, Any], golden: Mapping[str, Any], path: Path, version: str = "1", licence: str = "MIT"
+    sensor: Sensor,
+    card: Mapping[str, Any],
+    golden: Mapping[str, Any],
+    path: Path,
+    version: str = "1",
+    licence: str = "MIT",
 ) -> None:
     """Write `NAME.onnx` and, beside it, `NAME.step.onnx`; each carries its specification, card, golden values and hash."""
     metadata = {
@@ -125,7 +138,8 @@ def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
     network, architecture = sensor.network, sensor.network.architecture
     # Whitening takes small differences of large features, so it is done in float64; the network then needs float32 only.
     centred = graph.add("Sub", [features, graph.exact(sensor.inputs.mean)])
-    known = [graph.add("Cast", [graph.add("MatMul", [centred, graph.exact(sensor.inputs.matrix)])], to=graph.type)]
+    matrix = graph.add("Cast", [graph.single(sensor.inputs.matrix)], to=TensorProto.DOUBLE)
+    known = [graph.add("Cast", [graph.add("MatMul", [centred, matrix])], to=graph.type)]
     first = 0
     for layer, width in enumerate(architecture.hidden):
         reads = len(architecture.reads(layer))
@@ -138,11 +152,15 @@ def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
     deviation = graph.real(sensor.targets.deviation)
     estimate = graph.add("Add", [graph.add("Mul", [scaled, deviation]), graph.real(sensor.targets.mean)])
     along = graph.affine(read, sensor.posterior.basis)
-    function = graph.add("MatMul", [graph.add("Mul", [along, along]), graph.real(sensor.posterior.variances.T)])
+    function = graph.add(
+        "MatMul", [graph.add("Mul", [along, along]), graph.real(sensor.posterior.variances.T)]
+    )
     limits = [graph.real(np.array(limit)) for limit in LOG_VARIANCE_RANGE]
     noise = graph.add("Exp", [graph.add("Clip", [graph.affine(read, sensor.noise.T), *limits])])
     sigma = graph.add("Mul", [graph.add("Sqrt", [graph.add("Add", [function, noise])]), deviation])
-    return graph.add("Cast", [estimate], to=TensorProto.DOUBLE), graph.add("Cast", [sigma], to=TensorProto.DOUBLE)
+    return graph.add("Cast", [estimate], to=TensorProto.DOUBLE), graph.add(
+        "Cast", [sigma], to=TensorProto.DOUBLE
+    )
 
 
 def _read(graph: "_Graph", known: Sequence[str], skips: bool) -> str:
@@ -177,6 +195,9 @@ class _Graph:
     def real(self, values: Any) -> str:
         return self._constant(np.ascontiguousarray(np.asarray(values, dtype=self.kind)))
 
+    def single(self, values: Any) -> str:
+        return self._constant(np.ascontiguousarray(np.asarray(values, dtype=np.float32)))
+
     def exact(self, values: Any) -> str:
         return self._constant(np.ascontiguousarray(np.asarray(values, dtype=np.float64)))
 
@@ -207,7 +228,10 @@ class _Graph:
 
         graph = helper.make_graph(self.nodes, name, values(inputs), values(outputs), self.constants)
         model = helper.make_model(
-            graph, producer_name="motorlens", opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
+            graph,
+            producer_name="motorlens",
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
         )
         helper.set_model_props(model, dict(metadata))
         onnx.checker.check_model(model)

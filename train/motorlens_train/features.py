@@ -11,7 +11,9 @@ from motorlens_runtime.errors import DataError
 from motorlens_train.specification import Array, Bank, Feature, Filter
 
 
-def signal(name: str, voltage_V: Array, current_A: Array, resistance_ohm: float, ambient_C: Array | None) -> Array:
+def signal(
+    name: str, voltage_V: Array, current_A: Array, resistance_ohm: float, ambient_C: Array | None
+) -> Array:
     """One signal `[N]` of docs/sensor-file.md.
 
     Raises:
@@ -79,12 +81,16 @@ def feature_rows(
     driving = np.array([names.index(f.signal) for f in bank.filters], dtype=np.int64)
     tau = np.array([f.tau_s for f in bank.filters])
     state = np.zeros(len(tau)) if start is None else start.astype(np.float64)
-    result: Array = _run(signals, driving, dt, tau, state, chosen.astype(np.int64), plus, minus)
+    observed = np.zeros((len(time_s), 0))
+    if bank.observer is not None:
+        surroundings = np.full(len(time_s), bank.observer.ambient_C) if ambient_C is None else ambient_C
+        observed, _ = bank.observer.run(dt, voltage_V, current_A, surroundings)
+    result: Array = _run(signals, driving, dt, tau, state, chosen.astype(np.int64), plus, minus, observed)
     return result
 
 
 def wiring(bank: Bank) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Each feature as the difference of two entries of `[signals | filters | 0]`: their indices, `[F]` each."""
+    """Each feature as the difference of two entries of `[signals | filters | 0 | observer]`: their indices, `[F]` each."""
     names = bank.signals
     first, nothing = len(names), len(names) + len(bank.filters)
 
@@ -98,6 +104,8 @@ def wiring(bank: Bank) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
                 return names.index(feature.signal), first + feature.filters[0]
             case "between":
                 return first + feature.filters[0], first + feature.filters[1]
+            case "observer":
+                return nothing + 1 + feature.filters[0], nothing
             case _:
                 raise ValueError(f"unknown feature {feature.kind!r}")
 
@@ -107,7 +115,14 @@ def wiring(bank: Bank) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _run(
-    signals: Array, driving: Array, dt: Array, tau: Array, state: Array, rows: Array, plus: Array, minus: Array
+    signals: Array,
+    driving: Array,
+    dt: Array,
+    tau: Array,
+    state: Array,
+    rows: Array,
+    plus: Array,
+    minus: Array,
 ) -> Array:
     count, filters = signals.shape[0], len(tau)
     result = np.empty((len(rows), len(plus)))
@@ -126,6 +141,7 @@ def _run(
         if taken < len(rows) and rows[taken] == n:
             values[:count] = signals[:, n]
             values[count : count + filters] = state
+            values[count + filters + 1 :] = observed[n]
             for f in range(len(plus)):
                 result[taken, f] = values[plus[f]] - values[minus[f]]
             taken += 1
@@ -156,11 +172,14 @@ def motor_bank(
         features += [Feature("lowpass", filters=(add(name, tau),)) for name in ("emf", "current")]
     for share in (1 / 60, 1 / 12, 0.4, 1.0):
         features += [
-            Feature("lowpass", filters=(add(name, share * thermal_s),)) for name in ("current_squared", "emf_squared")
+            Feature("lowpass", filters=(add(name, share * thermal_s),))
+            for name in ("current_squared", "emf_squared")
         ]
     for share in (1 / 12, 1.0):
         features.append(Feature("lowpass", filters=(add("emf", share * thermal_s),)))
-    features += [Feature("lowpass", filters=(add("one", tau),)) for tau in (run_up, thermal_s / 12, thermal_s)]
+    features += [
+        Feature("lowpass", filters=(add("one", tau),)) for tau in (run_up, thermal_s / 12, thermal_s)
+    ]
     return Bank(resistance_ohm, inductance_H, tuple(filters), tuple(features))
 
 
@@ -179,7 +198,9 @@ def recording_bank(
     filters: list[Filter] = []
     features: list[Feature] = []
     longest = max(duration_s / 2, 16 * period_s)
-    taus = np.geomspace(4 * period_s, longest, min(8, 2 + int(np.log(longest / (4 * period_s)) / np.log(3.0))))
+    taus = np.geomspace(
+        4 * period_s, longest, min(8, 2 + int(np.log(longest / (4 * period_s)) / np.log(3.0)))
+    )
     for tau in taus:
         for name in ("voltage", "current"):
             filters.append(Filter(name, float(f"{tau:.4g}")))

@@ -110,7 +110,8 @@ def step(point: Point, hyper: Hyperparameters, damping: float, batch: Batch, cur
     if not whole:
         slope = gradient(architecture, network.hidden, network.output, hyper.precision, batch.blocks())
         local = locate(architecture, network.hidden, part, curving)
-    reduced = _Reduced.of(network, sums, slope, point.moments, hyper)
+    # Curvature of hidden and of output weights must come from the same rows, or their sum need not be positive definite.
+    reduced = _Reduced.of(network, sums, slope, local.moments, part)
     for _ in range(5):
         dampings = [min(max(factor * damping, DAMPING_RANGE[0]), DAMPING_RANGE[1]) for factor in TRIALS]
         trials = []

@@ -35,19 +35,19 @@ class LastLayer:
     """The last-layer posterior.
 
     Attributes:
-        basis: eigenvectors Q of the Gram matrix of what the output layer reads, `[Z, Z]`.
-        variances: variance d along each eigenvector for each output, scaled units, `[K, Z]`.
+        basis: eigenvectors Q of the Gram matrix of what the output layer reads, least determined first, `[Z, D]`.
+        variances: variance d along each eigenvector for each output, scaled units, `[K, D]`.
     """
 
     basis: Tensor
     variances: Tensor
 
     @staticmethod
-    def of(trained: Trained) -> "LastLayer":
-        """The last-layer posterior of a trained network."""
+    def of(trained: Trained, directions: int | None = None) -> "LastLayer":
+        """The last-layer posterior of a trained network; only its D least determined directions, if asked for."""
         eigenvalues, basis = torch.linalg.eigh(trained.moments.gram)
         precision = trained.hyper.precision[:, None] * eigenvalues.clamp_min(0) + trained.hyper.alpha[-1]
-        return LastLayer(basis, 1 / precision)
+        return LastLayer(basis[:, :directions], 1 / precision[:, :directions])
 
     def variance(self, read: Tensor) -> Tensor:
         """Variance of the function `[N, K]` for what the output layer reads, `[N, Z]`."""

@@ -66,7 +66,8 @@ class Whitening:
         scaled = single.scale(values.double())
         eigenvalues, basis = torch.linalg.eigh(scaled.T @ scaled / len(values))
         root = (basis * ((1 + ridge) / (eigenvalues.clamp_min(0) + ridge)).sqrt()) @ basis.T
-        return Whitening(single.mean, root / single.deviation[:, None])
+        # Rounded to float32, so that the exported sensor holds the same matrix in half the space.
+        return Whitening(single.mean, (root / single.deviation[:, None]).float().double())
 
     def scale(self, values: Tensor) -> Tensor:
         """Whitened values `[N, F]`, computed in float64, in the type of `values`."""

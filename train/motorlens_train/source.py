@@ -21,9 +21,17 @@ Block = tuple[Tensor, Tensor]
 class Source(Protocol):
     """Rows of inputs `[N, F]` and targets `[N, K]` in the order of time."""
 
-    rows: int
-    inputs: int
-    outputs: int
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+
+    @property
+    def outputs(self) -> int:
+        """Number of targets."""
 
     def blocks(self, rows: int) -> Iterator[Block]:
         """All data in order, in blocks of exactly `rows` rows (the last one shorter)."""

@@ -1,9 +1,13 @@
 """What is computed before the network: `motorlens.spec` of docs/sensor-file.md, from the side that writes it."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from motorlens_train.observer_file import Observer
 
 Array = NDArray[np.float64]
 
@@ -30,9 +34,10 @@ class Feature:
     """One input of the network, as the difference of two quantities.
 
     Attributes:
-        kind: "raw" (a signal), "lowpass" (a filter), "difference" (signal less filter) or "between" (filter less filter).
+        kind: "raw" (a signal), "lowpass" (a filter), "difference" (signal less filter), "between" (filter less filter) or
+            "observer" (an output of the observer).
         signal: of raw and difference.
-        filters: indices of the filters that take part.
+        filters: indices of the filters that take part; for an observer, the index of its output.
     """
 
     kind: str
@@ -48,6 +53,8 @@ class Feature:
                 return {"kind": "lowpass", "filter": self.filters[0]}
             case "difference":
                 return {"kind": "difference", "signal": self.signal, "filter": self.filters[0]}
+            case "observer":
+                return {"kind": "observer", "output": self.filters[0]}
             case _:
                 return {"kind": "between", "filters": list(self.filters)}
 
@@ -81,13 +88,17 @@ class Rate:
 
 @dataclass(frozen=True)
 class Bank:
-    """Signals, filters and features of a sensor; `ambient` says whether the ambient temperature is an input."""
+    """Signals, filters and features of a sensor; `ambient` says whether the ambient temperature is an input.
+
+    An `observer`, where there is one, runs beside the filters on the same samples.
+    """
 
     resistance_ohm: float
     inductance_H: float
     filters: tuple[Filter, ...]
     features: tuple[Feature, ...]
     ambient: bool = False
+    observer: Observer | None = None
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -117,6 +128,7 @@ class Specification:
             "inductance_H": bank.inductance_H,
             "filters": [asdict(f) for f in bank.filters],
             "features": [f.document() for f in bank.features],
+            **({"observer": bank.observer.document()} if bank.observer else {}),
             "sample_rate_Hz": asdict(self.rate),
             "warm_up_s": self.warm_up_s,
             "envelope": {
@@ -131,8 +143,24 @@ class Specification:
         }
 
 
+def bank_from(document: Mapping[str, Any]) -> Bank:
+    """The bank of a `motorlens.spec` document, as `Specification.document` writes it."""
+
+    def feature(entry: Mapping[str, Any]) -> Feature:
+        filters = entry.get("filters", [entry["filter"]] if "filter" in entry else [])
+        return Feature(entry["kind"], entry.get("signal", ""), tuple(filters))
+
+    return Bank(
+        document["resistance_ohm"],
+        document["inductance_H"],
+        tuple(Filter(**entry) for entry in document["filters"]),
+        tuple(feature(entry) for entry in document["features"]),
+        "ambient" in document["inputs"],
+    )
+
+
 def _rounded(values: Array) -> list[object]:
-    """Seven digits: the envelope is a fence, and the file is to stay small."""
+    """Five digits: the envelope is a fence, and the file is to stay small."""
     if values.ndim == 2:
         return [_rounded(row) for row in values]
-    return [float(f"{value:.7g}") for value in values]
+    return [float(f"{value:.5g}") + 0.0 for value in values]

@@ -32,7 +32,7 @@ from motorlens_train.evidence import (
     score_autocorrelation,
     update,
 )
-from motorlens_train.gauss_newton import Columns, OutputMoments, curvature
+from motorlens_train.gauss_newton import Columns, OutputMoments, curvature, output_moments
 from motorlens_train.levenberg_marquardt import Batch, Point, locate, settle, step
 from motorlens_train.scaling import Scaling, Whitening
 from motorlens_train.source import Block, Source
@@ -290,12 +290,13 @@ class _Run:
 
     def _evidence(self, point: Point, hyper: Hyperparameters, part: Batch) -> Evidence:
         """Evidence of all rows that the point was evaluated on, with the curvature of a part of them."""
-        precision = point.moments.rows / part.rows * hyper.precision
-        sums = curvature(
-            self.architecture, point.network.hidden, point.network.output, precision, part.blocks()
-        )
-        matrix = posterior_precision(self.architecture, sums, point.moments, hyper)
-        return evidence(point.network, matrix, point.moments, hyper)
+        network = point.network
+        whole = replace(hyper, beta=point.moments.rows / part.rows * hyper.beta)
+        sums = curvature(self.architecture, network.hidden, network.output, whole.precision, part.blocks())
+        # From the same rows as the curvature: mixed, the two need not be positive definite.
+        moments = output_moments(self.architecture, network.hidden, part.blocks())
+        matrix = posterior_precision(self.architecture, sums, moments, whole)
+        return evidence(network, matrix, point.moments, hyper)
 
     def _tau(self, network: Network, found: Evidence, hyper: Hyperparameters) -> Tensor:
         runs = (

@@ -1,0 +1,237 @@
+"""From duty cycles to a sensor: train, calibrate, fence in, measure."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from motorlens_train.calibration import noise_head
+from motorlens_train.cascade import Architecture
+from motorlens_train.data import Cycle, arrays, errors, scale_of
+from motorlens_train.features import feature_rows
+from motorlens_train.posterior import LastLayer
+from motorlens_train.sensor import Sensor
+from motorlens_train.specification import Array, Bank, Envelope, Rate, Specification
+from motorlens_train.trainer import Record, Settings, Trained, train
+
+# Directions of the last-layer posterior that the exported sensor keeps: the least determined ones.
+DIRECTIONS = 12
+GOLDEN_ROWS = 24
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is to be built.
+
+    Attributes:
+        name: of the sensor.
+        bank: its features.
+        outputs: names of the promised quantities.
+        hidden: width of each hidden layer.
+        rate: sample rates it is for.
+        warm_up_s: how long a fresh state is not to be trusted.
+        seed: of everything random.
+        settings: of the trainer.
+        activation: of the hidden units.
+        skips: cascade or plain feed-forward.
+    """
+
+    name: str
+    bank: Bank
+    outputs: tuple[str, ...]
+    hidden: tuple[int, ...]
+    rate: Rate
+    warm_up_s: float
+    seed: int
+    settings: Settings = Settings()  # noqa: RUF009 -- frozen
+    activation: str = "tanh"
+    skips: bool = True
+
+    @property
+    def architecture(self) -> Architecture:
+        """The network's structure."""
+        return Architecture(
+            len(self.bank.features), self.hidden, len(self.outputs), self.activation, self.skips
+        )
+
+
+@dataclass(frozen=True)
+class Built:
+    """A sensor, the training it came from, and its card."""
+
+    sensor: Sensor
+    trained: Trained
+    card: dict[str, Any]
+
+
+def build(
+    recipe: Recipe,
+    training: Sequence[Cycle],
+    calibration: Sequence[Cycle],
+    unseen: Sequence[Cycle],
+    report: Callable[[Record], None] = lambda record: None,
+    checkpoint: Path | None = None,
+) -> Built:
+    """Train and calibrate a sensor.
+
+    Args:
+        recipe: what to build.
+        training: cycles that the network learns from.
+        calibration: other cycles, for the published standard deviation; empty means that errors on one part of the training
+            cycles are taken from a network trained on the others.
+        unseen: other cycles again, on which the card's errors are measured; may be empty.
+        report: called after every iteration.
+        checkpoint: see `motorlens_train.trainer.train`.
+    """
+    trained = train(
+        arrays(training),
+        recipe.architecture,
+        recipe.seed,
+        recipe.settings,
+        report=report,
+        checkpoint=checkpoint,
+    )
+    posterior = LastLayer.of(trained, DIRECTIONS)
+    specification = Specification(
+        scale_of(training, recipe.outputs), recipe.bank, recipe.rate, recipe.warm_up_s, envelope(training)
+    )
+    width = len(recipe.architecture.output_reads)
+    silent = Sensor(
+        recipe.name, specification, trained.network, trained.inputs, trained.targets, posterior,
+        torch.zeros(len(recipe.outputs), width, dtype=torch.float64),
+    )  # fmt: skip
+    if calibration:
+        read = [silent.read(c.x) for c in calibration]
+        off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
+        head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
+    else:
+        head = np.zeros((len(recipe.outputs), width))
+        head[:, 0] = np.log(
+            _crossed_errors(recipe, training) / trained.targets.deviation.numpy() ** 2 + 1e-10
+        )
+    sensor = Sensor(
+        recipe.name,
+        specification,
+        trained.network,
+        trained.inputs,
+        trained.targets,
+        posterior,
+        torch.from_numpy(head),
+    )
+    return Built(sensor, trained, _card(recipe, sensor, trained, training, unseen))
+
+
+def measured(sensor: Sensor, cycles: Sequence[Cycle]) -> dict[str, dict[str, float]]:
+    """Errors on cycles and how often the 95 % interval holds the truth, by output."""
+    results = [sensor.evaluate(c.x) for c in cycles]
+    found = errors(cycles, [estimate for estimate, _ in results])
+    inside = np.concatenate(
+        [np.abs(estimate - c.y) <= 1.96 * sigma for c, (estimate, sigma) in zip(cycles, results, strict=True)]
+    ).mean(0)
+    table = {**found, "coverage_95": inside}
+    return {
+        output.name: {key: _short(values[k]) for key, values in table.items()}
+        for k, output in enumerate(sensor.specification.outputs)
+    }
+
+
+def envelope(cycles: Sequence[Cycle]) -> Envelope:
+    """Ranges of the inputs, and the ellipsoid of the features that holds 99.9 % of the training rows, doubled."""
+    x = np.concatenate([c.x for c in cycles])
+    mean = x.mean(0)
+    covariance = np.cov(x.T, bias=True).reshape(x.shape[1], x.shape[1])
+    # A hundredth of each feature's variance is granted in every direction: filters of one signal are nearly collinear, and
+    # the fence is to stop what is far away, not what is slightly skew.
+    diagonal = np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0)
+    covariance = covariance + 0.01 * np.diag(diagonal)
+    factor = np.linalg.cholesky(np.linalg.inv(covariance))
+    distance = (((x - mean) @ factor) ** 2).sum(1)
+    return Envelope(
+        (min(c.voltage_V[0] for c in cycles), max(c.voltage_V[1] for c in cycles)),
+        (min(c.current_A[0] for c in cycles), max(c.current_A[1] for c in cycles)),
+        mean,
+        factor,
+        float(f"{4 * np.quantile(distance, 0.999):.4g}"),
+    )
+
+
+def golden(sensor: Sensor) -> dict[str, Any]:
+    """A short sequence from a fresh state, and what must come out of it; steps of one to a thousand periods."""
+    fence, period = sensor.specification.envelope, 1 / sensor.specification.rate.nominal
+    n = np.arange(GOLDEN_ROWS)
+    # Whole nanoseconds: what the runtime's clock can represent.
+    time = np.cumsum(np.round(period * np.where(n % 8 == 7, 1000.0, 1.0 + n // 8) * 1e9)) * 1e-9
+    share = 0.5 + 0.4 * np.sin(0.9 * n)
+    voltage = np.round(fence.voltage_V[0] + (fence.voltage_V[1] - fence.voltage_V[0]) * share, 3)
+    current = np.round(fence.current_A[0] + (fence.current_A[1] - fence.current_A[0]) * (1 - share) * 0.6, 3)
+    ambient = np.full(len(n), 20.0) if sensor.bank.ambient else None
+    x = feature_rows(sensor.bank, time, voltage, current, ambient_C=ambient, first_dt_s=period)
+    estimate, sigma = sensor.evaluate(x)
+    return {
+        "time_s": [round(float(t), 9) for t in time],
+        "voltage_V": voltage.tolist(),
+        "current_A": current.tolist(),
+        **({"ambient_C": ambient.tolist()} if ambient is not None else {}),
+        "estimate": [[_short(v, 8) for v in row] for row in estimate],
+        "sigma": [[_short(v, 8) for v in row] for row in sigma],
+        "tolerance": 1e-4,
+    }
+
+
+def _crossed_errors(recipe: Recipe, training: Sequence[Cycle]) -> Array:
+    """Mean square error on each cycle (or half of the only one) of a network trained on the others, `[K]`."""
+    folds = list(training)
+    if len(folds) == 1:
+        only, half = folds[0], len(folds[0].x) // 2
+        folds = [_rows(only, slice(None, half)), _rows(only, slice(half, None))]
+    squares = []
+    for left_out in range(min(len(folds), 4)):
+        others = [c for j, c in enumerate(folds) if j != left_out]
+        trained = train(arrays(others), recipe.architecture, recipe.seed, recipe.settings)
+        estimate = trained.predict(torch.from_numpy(folds[left_out].x)).numpy()
+        squares.append((estimate - folds[left_out].y) ** 2)
+    return np.asarray(np.concatenate(squares).mean(0))
+
+
+def _rows(cycle: Cycle, which: slice) -> Cycle:
+    return Cycle(
+        cycle.name,
+        cycle.time_s[which],
+        cycle.x[which],
+        cycle.y[which],
+        cycle.voltage_V,
+        cycle.current_A,
+        cycle.rows,
+    )
+
+
+def _card(
+    recipe: Recipe, sensor: Sensor, trained: Trained, training: Sequence[Cycle], unseen: Sequence[Cycle]
+) -> dict[str, Any]:
+    digest = hashlib.sha256()
+    for c in training:
+        digest.update(np.ascontiguousarray(c.x).tobytes() + np.ascontiguousarray(c.y).tobytes())
+    return {
+        "training_data_sha256": digest.hexdigest(),
+        "training_cycles": len(training),
+        "training_rows": sum(len(c.x) for c in training),
+        "samples_seen": sum(c.rows for c in training),
+        "seed": recipe.seed,
+        "network": str(recipe.architecture),
+        "parameters": recipe.architecture.parameters,
+        "effective_parameters": _short(float(trained.evidence.gamma.sum())),
+        "log_evidence": _short(trained.evidence.log_evidence, 6),
+        "iterations": len(trained.history),
+        "stopped": trained.stopped,
+        "unseen_cycles": len(unseen),
+        "unseen": measured(sensor, unseen) if unseen else {},
+        "training": measured(sensor, training),
+    }
+
+
+def _short(value: float, digits: int = 4) -> float:
+    return float(f"{value:.{digits}g}")

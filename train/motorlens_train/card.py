@@ -1,0 +1,50 @@
+"""The card: what a sensor is, what it was trained on and how wrong it was, as a page for people."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from motorlens_train.build import Built
+from motorlens_train.material import Material
+
+
+def write_card(built: Built, card: Mapping[str, Any], material: Material, path: Path) -> None:
+    """Write `NAME.md` beside the sensor."""
+    path.write_text(card_text(built, card, material), encoding="utf-8")
+
+
+def card_text(built: Built, card: Mapping[str, Any], material: Material) -> str:
+    """The card in Markdown."""
+    specification = built.sensor.specification
+    rate, fence = specification.rate, specification.envelope
+    lines = [
+        f"# {built.sensor.name}",
+        "",
+        f"A virtual sensor: {', '.join(f'{o.name} ({o.unit})' for o in specification.outputs)} from "
+        f"{' and '.join(specification.document()['inputs'])}.",  # type: ignore[arg-type]
+        "",
+        f"- Trained on {card['trained_on']}; {card['samples_seen']} samples seen, {card['training_rows']} rows kept.",
+        f"- {card['network']}, {card['parameters']} weights of which {card['effective_parameters']:g} effective; "
+        f"log evidence {card['log_evidence']:g}; seed {card['seed']}; training {card['stopped']}.",
+        f"- For {rate.minimum:g} to {rate.maximum:g} samples a second (nominal {rate.nominal:g}), "
+        f"{fence.voltage_V[0]:.4g} to {fence.voltage_V[1]:.4g} V, {fence.current_A[0]:.4g} to {fence.current_A[1]:.4g} A.",
+        f"- Training data SHA-256 {card['training_data_sha256']}.",
+        "",
+    ]
+    tables = {
+        f"{card['unseen_cycles']} duty cycles not trained on": card["unseen"],
+        "the recordings it was trained on": card["training"],
+        **card.get("cases", {}),
+    }
+    lines += [
+        "| errors on | output | rms | largest | worst cycle's rms | 95 % interval covers |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    units = {o.name: o.unit for o in specification.outputs}
+    for title, table in tables.items():
+        for name, figures in table.items():
+            lines.append(
+                f"| {title} | {name} | {figures['rmse']:g} {units[name]} | {figures['max']:g} | "
+                f"{figures['worst_cycle_rmse']:g} | {100 * figures['coverage_95']:.1f} % |"
+            )
+    return "\n".join(lines) + "\n"

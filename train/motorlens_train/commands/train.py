@@ -1,0 +1,89 @@
+"""Train a virtual sensor from a motor's physics, from recordings, or from both.
+
+examples:
+  motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
+  motorlens train --recordings run1.csv run2.csv --column speed=wL_rad_s -o mine.onnx
+
+From a motor file, duty cycles are simulated with random voltage, load, ambient and start temperature. From recordings, the
+targets that were measured (speed, temperature, resistance) decide what the sensor promises. Beside OUT.onnx stand
+OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card with the errors on duty cycles not trained on.
+"""
+
+import argparse
+from pathlib import Path
+
+from motorlens_runtime.cli import add_json_argument, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--motor", metavar="MOTOR.toml", help="train on simulated duty cycles of this motor")
+    parser.add_argument("--recordings", nargs="+", default=[], metavar="REC", help="train on measured runs")
+    parser.add_argument("-o", "--output", required=True, metavar="SENSOR.onnx", help="where the sensor goes")
+    parser.add_argument("--column", action="append", default=[], metavar="QUANTITY=NAME",
+                        help="which column holds a quantity, e.g. speed=wL_rad_s; repeatable")  # fmt: skip
+    parser.add_argument(
+        "--hidden", metavar="N-M", help="widths of the hidden layers, e.g. 12-8 (default: by data)"
+    )
+    parser.add_argument(
+        "--cycles", type=int, default=160, metavar="N", help="simulated duty cycles (default: 160)"
+    )
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the simulated sensor")
+    parser.add_argument("--noise", action="append", default=[], metavar="SD",
+                        help="CHANNEL=SD in its unit or in %% of the rating plate (default: voltage 0.2%%, current 0.7%%)")  # fmt: skip
+    parser.add_argument("--iterations", type=int, default=120, metavar="N", help="at most (default: 120)")
+    parser.add_argument("--seed", type=int, default=1, help="of everything random (default: 1)")
+    parser.add_argument("--checkpoint", metavar="FILE", help="write training's state here, and go on from it")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from motorlens_runtime.errors import DataError
+    from motorlens_runtime.progress import Progress
+    from motorlens_train.build import build, golden
+    from motorlens_train.card import write_card
+    from motorlens_train.commands.parse import hidden_layers
+    from motorlens_train.export import write_sensor
+    from motorlens_train.material import from_motor, from_recordings
+
+    if bool(arguments.motor) == bool(arguments.recordings):
+        raise DataError("say what to train on: --motor MOTOR.toml or --recordings REC...")
+    output = Path(arguments.output)
+    if output.suffix != ".onnx":
+        raise DataError(f"-o {output}: a sensor file ends in .onnx")
+    hidden = hidden_layers(arguments.hidden) if arguments.hidden else None
+    with Progress(arguments.cycles, "simulating") as progress:
+        if arguments.motor:
+            material = from_motor(
+                Path(arguments.motor), output.stem, arguments.cycles, arguments.rate, arguments.noise, arguments.seed,
+                hidden, arguments.iterations, progress.update,
+            )  # fmt: skip
+        else:
+            material = from_recordings(
+                arguments.recordings,
+                arguments.column,
+                output.stem,
+                arguments.seed,
+                hidden,
+                arguments.iterations,
+            )
+    with Progress(arguments.iterations, "training") as progress:
+        built = build(
+            material.recipe, material.training, material.calibration, material.unseen,
+            lambda record: progress.update(record.iteration + 1, f"error {max(record.error):.3g}"),
+            Path(arguments.checkpoint) if arguments.checkpoint else None,
+        )  # fmt: skip
+    card = built.card | {"trained_on": material.origin}
+    write_sensor(built.sensor, card, golden(built.sensor), output)
+    write_card(built, card, material, output.with_suffix(".md"))
+    print(
+        f"{output}: {card['network']}, {card['parameters']} parameters, {output.stat().st_size / 1000:.1f} kB"
+    )
+    for name, figures in (card["unseen"] or card["training"]).items():
+        unit = next(o.unit for o in built.sensor.specification.outputs if o.name == name)
+        where = "unseen duty cycles" if card["unseen"] else "the training recordings"
+        print(
+            f"  {name}: rmse {figures['rmse']:.4g} {unit} on {where}, 95 % interval covers {100 * figures['coverage_95']:.1f} %"
+        )
+    write_json({"schema": "motorlens.train/1", "sensor": str(output), "card": card, "report": built.trained.report()},
+               arguments.json)  # fmt: skip
+    return 0

@@ -1,0 +1,153 @@
+"""What a training command works on: cycles to train, calibrate and test on, and the recipe that suits them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from motorlens_physics.motor_file import MotorFile, read_motor_file
+from motorlens_physics.recording import Recording, read_recording
+from motorlens_physics.scenario import parse_noise, time_constants
+from motorlens_runtime.errors import DataError
+from motorlens_train.build import Recipe
+from motorlens_train.data import Cycle, cycle
+from motorlens_train.duty_cycles import Noise, duty_cycle, instants
+from motorlens_train.features import motor_bank, recording_bank
+from motorlens_train.specification import Array, Bank, Rate
+from motorlens_train.trainer import Settings
+
+OUTPUTS = ("speed", "temperature", "resistance")
+# Rows kept of each simulated cycle: neighbours tell nothing new.
+ROWS = 400
+LONGEST_S = 7200.0
+
+
+@dataclass(frozen=True)
+class Material:
+    """Cycles by purpose, never shared between purposes; `origin` says in words where they come from."""
+
+    recipe: Recipe
+    training: tuple[Cycle, ...]
+    calibration: tuple[Cycle, ...]
+    unseen: tuple[Cycle, ...]
+    origin: str
+
+
+def from_motor(
+    path: Path,
+    name: str,
+    cycles: int,
+    rate_Hz: float,
+    noise: Sequence[str],
+    seed: int,
+    hidden: tuple[int, ...] | None,
+    iterations: int,
+    done: Callable[[int], None] = lambda count: None,
+) -> Material:
+    """Simulated duty cycles of a motor: three fifths to train on, one fifth each to calibrate and to test.
+
+    Raises:
+        DataError, ModelError: the motor file or an argument is at fault.
+    """
+    if cycles < 10:
+        raise DataError(f"--cycles {cycles}: at least 10, so that there are some of each kind")
+    file = read_motor_file(path)
+    deviations = noise_of(file, noise)
+    bank = bank_of(file)
+    made = []
+    for number in range(cycles):
+        made.append(simulated(file, bank, deviations, rate_Hz, [seed, number]))
+        done(number + 1)
+    fifth = cycles // 5
+    recipe = Recipe(
+        name, bank, OUTPUTS, hidden or (12, 8), Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz),
+        5 * time_constants(file.motor).mechanical_s, seed, Settings(iterations=iterations),
+    )  # fmt: skip
+    origin = (
+        f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load, ambient and start temperature, "
+        f"up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and {deviations.current_A:.3g} A a sample"
+    )
+    return Material(
+        recipe, tuple(made[2 * fifth :]), tuple(made[:fifth]), tuple(made[fifth : 2 * fifth]), origin
+    )
+
+
+def simulated(file: MotorFile, bank: Bank, noise: Noise, rate_Hz: float, seed: list[int]) -> Cycle:
+    """One simulated cycle with the rows to train on."""
+    rng = np.random.default_rng(seed)
+    recording = duty_cycle(file, noise, rate_Hz, LONGEST_S, rng)
+    return cycle(recording, bank, OUTPUTS, instants(recording, ROWS, noise, rng))
+
+
+def bank_of(file: MotorFile) -> Bank:
+    """The default features for a motor."""
+    pace = time_constants(file.motor)
+    return motor_bank(file.motor.R_a0, file.motor.L, pace.electrical_s, pace.mechanical_s, pace.thermal_s)
+
+
+def noise_of(file: MotorFile, arguments: Sequence[str]) -> Noise:
+    """Noise of voltage and current: 0.2 % and 0.7 % of the rating plate, where the arguments do not say otherwise."""
+    chosen = parse_noise(["voltage=0.2%", "current=0.7%", *arguments], file.rated)
+    return Noise(chosen["voltage"], chosen["current"])
+
+
+def from_recordings(
+    paths: Sequence[str],
+    columns: Sequence[str],
+    name: str,
+    seed: int,
+    hidden: tuple[int, ...] | None,
+    iterations: int,
+) -> Material:
+    """Measured runs; the targets that all of them hold are promised. With six or more, every fifth is kept for calibration.
+
+    Raises:
+        DataError: no target is measured in all of them, or current is missing.
+    """
+    recordings = [read_recording(path, columns) for path in paths]
+    for recording in recordings:
+        if not recording.has("current"):
+            raise DataError(
+                f"{recording.name}: no current column; a sensor needs voltage and current: --column current=NAME"
+            )
+    outputs = tuple(q for q in OUTPUTS if all(r.has(q) for r in recordings))
+    ambient = all(r.has("ambient") for r in recordings)
+    if "temperature" in outputs and not ambient:
+        raise DataError(
+            f"{recordings[0].name}: temperature was measured but not ambient; map it with --column ambient=NAME"
+        )
+    if not outputs:
+        raise DataError(
+            f"{recordings[0].name}: no speed, temperature or resistance in all recordings; map one with --column speed=NAME"
+        )
+    period = float(np.median([r.period_s for r in recordings]))
+    resistance, inductance = electrical(recordings)
+    bank = recording_bank(resistance, inductance, period, max(r.duration_s for r in recordings), ambient)
+    kept = [cycle(r, bank, outputs) for r in recordings]
+    held = tuple(kept[::5]) if len(kept) >= 6 else ()
+    training = tuple(c for c in kept if c not in held) if held else tuple(kept)
+    rate = Rate(1 / period, 0.5 / period, 2 / period)
+    settings = Settings(iterations=iterations, time_series=True, single=False, ridge=1.0)
+    recipe = Recipe(name, bank, outputs, hidden or (4,), rate, 20 * period, seed, settings)
+    return Material(
+        recipe, training, held, (), f"{len(training)} recordings: {', '.join(c.name for c in training)}"
+    )
+
+
+def electrical(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Resistance and inductance by least squares of `v = R i + L di/dt (+ ke w) (+ constant drop sgn i)`.
+
+    They only place the back-EMF signal; the network corrects what is left. Values that come out negative are set to zero.
+    """
+    rows: list[Array] = []
+    voltages: list[Array] = []
+    for recording in recordings:
+        i = np.nan_to_num(recording.channels["current"])
+        columns = [i, np.gradient(i, recording.time_s), np.sign(i)]
+        speed = recording.channels.get("speed")
+        columns.append(np.zeros_like(i) if speed is None else np.nan_to_num(speed))
+        rows.append(np.stack(columns, axis=1))
+        voltages.append(np.asarray(recording.channels["voltage"]))
+    found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(voltages), rcond=None)[0]
+    return float(f"{max(found[0], 0.0):.4g}"), float(f"{max(found[1], 0.0):.4g}")
