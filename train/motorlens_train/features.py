@@ -123,10 +123,11 @@ def _run(
     rows: Array,
     plus: Array,
     minus: Array,
+    observed: Array,
 ) -> Array:
     count, filters = signals.shape[0], len(tau)
     result = np.empty((len(rows), len(plus)))
-    values = np.zeros(count + filters + 1)
+    values = np.zeros(count + filters + 1 + observed.shape[1])
     decay = np.exp(-dt[0] / tau)
     last, taken = dt[0], 0
     for n in range(len(dt)):
