@@ -40,6 +40,7 @@ class FilterBank:
     def __init__(self, signals: Sequence[str], tau_s: Sequence[float]) -> None:
         self.signals = tuple(signals)
         self.tau_s = np.array(tau_s, dtype=np.float64)
+        self._key = tuple(self.tau_s.tolist())
 
     def start(self, values: Array | None = None) -> BankState:
         """A fresh state: all filters at zero, or at `values` (S,)."""
@@ -69,31 +70,43 @@ class FilterBank:
             the new state, and the filters' values (n, S) after each sample.
         """
         done = len(state.dt_s)
-        dt = np.concatenate((state.dt_s, dt_s))
-        rows = len(dt)
-        if rows == done:
+        rows = done + len(dt_s)
+        if not len(dt_s):
             return state, np.zeros((0, len(self.signals)))
-        drive = np.concatenate((state.signals, signals))
-        width = BLOCK if rows > BLOCK else rows
-        blocks = -(-rows // width)
+        dt = np.concatenate((state.dt_s, dt_s)) if done else dt_s
+        drive = np.concatenate((state.signals, signals)) if done else signals
+        if rows < BLOCK:
+            # The usual case on a live line: everything still fits into the block that is being filled.
+            filtered = self._one(state.carry, dt, drive)
+            return BankState(state.count + len(dt_s), state.carry, dt, drive), filtered[done:]
+        blocks = -(-rows // BLOCK)
         # What fills up the last block comes after every real sample and is cut off again.
-        dt_blocks = np.full(blocks * width, dt[-1])
+        dt_blocks = np.full(blocks * BLOCK, dt[-1])
         dt_blocks[:rows] = dt
-        u = np.zeros((blocks * width, len(self.signals)))
+        u = np.zeros((blocks * BLOCK, len(self.signals)))
         u[:rows] = drive
         values, carry = self._scan(
-            state.carry, dt_blocks.reshape(blocks, width), u.reshape(blocks, width, -1)
+            state.carry, dt_blocks.reshape(blocks, BLOCK), u.reshape(blocks, BLOCK, -1)
         )
-        filtered = values.reshape(blocks * width, -1)[done:rows]
-        full = rows // BLOCK * BLOCK
-        new = BankState(
-            state.count + len(dt_s), carry[full // BLOCK] if full else state.carry, dt[full:], drive[full:]
-        )
-        return new, filtered
+        full = rows // BLOCK
+        new = BankState(state.count + len(dt_s), carry[full], dt[full * BLOCK :], drive[full * BLOCK :])
+        return new, values.reshape(blocks * BLOCK, -1)[done:rows]
+
+    def _one(self, carry: Array, dt: Array, u: Array) -> Array:
+        """Values (n, S) of one unfinished block of n < 64 rows."""
+        step = float(dt[0])
+        if (dt == step).all():
+            levels = _uniform_levels(step, self._key)
+            values: Array = _uniform(levels, u[None])[0]
+            values += levels.reach[: len(u)] * carry
+            return values
+        y, reach = _irregular(np.exp(-dt[None, :, None] / self.tau_s), u[None])
+        values = y[0]
+        values += reach[0] * carry
+        return values
 
     def _scan(self, carry: Array, dt: Array, u: Array) -> tuple[Array, Array]:
-        """Values (blocks, width, S), and the state before each block and after the last, (blocks + 1, S)."""
-        blocks, width = dt.shape
+        """Values (blocks, 64, S), and the state before each block and after the last, (blocks + 1, S)."""
         uniform = (dt == dt[:, :1]).all(axis=1)
         y = np.empty_like(u)
         reach = np.empty_like(u)  # product of the decays from the start of the block to here
@@ -101,17 +114,17 @@ class FilterBank:
             y[~uniform], reach[~uniform] = _irregular(
                 np.exp(-dt[~uniform][:, :, None] / self.tau_s), u[~uniform]
             )
-        for step in np.unique(dt[uniform, 0]):
+        for step in np.unique(dt[uniform, 0]).tolist():
             same = uniform & (dt[:, 0] == step)
-            levels, whole = _uniform_levels(float(step), tuple(self.tau_s), width)
+            levels = _uniform_levels(step, self._key)
             if same.all():
-                y, reach = _uniform(levels, float(step), self.tau_s, u), np.broadcast_to(whole, u.shape)
+                y, reach = _uniform(levels, u), np.broadcast_to(levels.reach, u.shape)
             else:
-                y[same], reach[same] = _uniform(levels, float(step), self.tau_s, u[same]), whole
-        carries = np.empty((blocks + 1, u.shape[2]))
+                y[same], reach[same] = _uniform(levels, u[same]), levels.reach
+        carries = np.empty((len(u) + 1, u.shape[2]))
         carries[0] = carry
         last_reach, last_y = np.ascontiguousarray(reach[:, -1]), np.ascontiguousarray(y[:, -1])
-        for block in range(blocks):
+        for block in range(len(u)):
             np.multiply(last_reach[block], carries[block], out=carries[block + 1])
             carries[block + 1] += last_y[block]
         y += reach * carries[:-1, None, :]
@@ -134,21 +147,32 @@ def _irregular(decay: Array, u: Array) -> tuple[Array, Array]:
     return y, decay
 
 
-def _uniform(levels: tuple[Array, ...], step: float, tau_s: Array, u: Array) -> Array:
+@dataclass(frozen=True)
+class _Levels:
+    """What a scan multiplies with when all steps are alike: `gain` (S,), `factors` (64 - shift, S), `reach` (64, S)."""
+
+    gain: Array
+    factors: tuple[Array, ...]
+    reach: Array
+
+
+def _uniform(levels: _Levels, u: Array) -> Array:
     """The same scan when all decays are alike: its factors, computed once by the same operations, are `levels`."""
-    y: Array = (1.0 - np.exp(-step / tau_s)) * u
-    for shift, factor in zip(_SHIFTS, levels, strict=False):
-        y[:, shift:] += factor * y[:, :-shift]
+    y: Array = levels.gain * u
+    rows = u.shape[1]
+    for shift, factor in zip(_SHIFTS, levels.factors, strict=True):
+        if shift >= rows:
+            break
+        y[:, shift:] += factor[: rows - shift] * y[:, :-shift]
     return y
 
 
 @lru_cache(maxsize=64)
-def _uniform_levels(step: float, tau_s: tuple[float, ...], width: int) -> tuple[tuple[Array, ...], Array]:
-    decay = np.repeat(np.exp(-step / np.array(tau_s))[None], width, axis=0)
-    levels = []
+def _uniform_levels(step: float, tau_s: tuple[float, ...]) -> _Levels:
+    decay = np.repeat(np.exp(-step / np.array(tau_s))[None], BLOCK, axis=0)
+    gain = 1.0 - decay[0]
+    factors = []
     for shift in _SHIFTS:
-        if shift >= width:
-            break
-        levels.append(decay[shift:].copy())
+        factors.append(decay[shift:].copy())
         decay[shift:] = decay[shift:] * decay[:-shift]
-    return tuple(levels), decay
+    return _Levels(gain, tuple(factors), decay)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.bank import BLOCK, BankState
-from motorlens_runtime.features import Signals, drive_of, feature_rows
+from motorlens_runtime.features import Channels
 from motorlens_runtime.gate import Gate, GateState, Samples
 from motorlens_runtime.quality import Quality, mark
 from motorlens_runtime.sensor import Sensor, scales
@@ -64,15 +64,18 @@ class Estimator:
             DataError: time runs backwards, or the sensor needs the ambient temperature and there is none.
         """
         gate, gated = self._gate.inspect(self.state.gate, samples)
-        specification, bank = self.sensor.specification, self.sensor.bank
-        signals = Signals(specification, gated.voltage_V, gated.current_A, gated.ambient_C)
+        sensor = self.sensor
+        signals = sensor.features.signals(Channels(gated.voltage_V, gated.current_A, gated.ambient_C))
         start = self.state.bank.count
-        bank_state, filtered = bank.advance(self.state.bank, gated.dt_s, drive_of(bank, signals))
-        mismatch = self.state.mismatch
-        chosen = np.arange(len(samples)) if rows is None else rows
-        values, sigma, outside, disagree = self._evaluate(
-            feature_rows(specification, signals, filtered, chosen), start + chosen
+        bank_state, filtered = sensor.bank.advance(
+            self.state.bank, gated.dt_s, sensor.features.drive(signals)
         )
+        mismatch = self.state.mismatch
+        if rows is None:
+            chosen, features = np.arange(len(samples)), sensor.features.features(signals, filtered)
+        else:
+            chosen, features = rows, sensor.features.features(signals[rows], filtered[rows])
+        values, sigma, outside, disagree = self._evaluate(features, start + chosen)
         quality = gated.quality[chosen]
         mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
         mark(quality, ~(np.isfinite(values) & np.isfinite(sigma)).all(axis=1), Quality.NOT_FINITE)
@@ -94,8 +97,11 @@ class Estimator:
         outputs = len(self.sensor.specification.outputs)
         if not len(features):
             return np.zeros((0, outputs)), np.zeros((0, outputs)), np.zeros(0, dtype=bool), None
-        numbers, block = np.unique(index // BLOCK, return_inverse=True)
-        place = index % BLOCK
+        number, place = index // BLOCK, index % BLOCK
+        if number[0] == number[-1]:
+            numbers, block = number[:1], np.zeros(len(number), dtype=np.intp)
+        else:
+            numbers, block = np.unique(number, return_inverse=True)
         blocks = np.zeros((len(numbers), BLOCK, features.shape[1]))
         blocks[block, place] = features
         estimate, sigma = self.sensor.backend.evaluate(blocks)

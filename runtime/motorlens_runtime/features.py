@@ -1,69 +1,93 @@
 """From samples to features: the signals of a specification, and the rows that the network is given."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.bank import FilterBank
 from motorlens_runtime.specification import Specification
 
 Array = NDArray[np.float64]
+Columns = dict[str, Array]
 
 
-class Signals:
-    """The signals of n samples, computed when first asked for."""
+@dataclass(frozen=True)
+class Channels:
+    """What was measured at n instants: volts, amperes, degrees Celsius, each (n,)."""
 
-    def __init__(
-        self, specification: Specification, voltage_V: Array, current_A: Array, ambient_C: Array | None
-    ) -> None:
-        base = {"voltage": voltage_V, "current": current_A}
-        self._known: dict[str, Array] = base if ambient_C is None else {**base, "ambient": ambient_C}
+    voltage_V: Array
+    current_A: Array
+    ambient_C: Array | None
+
+
+class FeatureMap:
+    """How features are made of signals and filters, as index arrays: each is a column, or the difference of two.
+
+    The columns are the signals that are used, then the S filters, then one of zeros.
+    """
+
+    def __init__(self, specification: Specification) -> None:
+        filters, features = specification.filters, specification.features
+        used = dict.fromkeys(f.signal for f in filters) | dict.fromkeys(
+            f.signal for f in features if f.signal
+        )
+        self._signals = tuple(used)
         self._resistance_ohm = specification.resistance_ohm
+        place = {name: index for index, name in enumerate(self._signals)}
+        first = len(place)
+        zero = first + len(filters)
+        self._drive = np.array([place[f.signal] for f in filters], dtype=np.intp)
+        pairs = []
+        for feature in features:
+            of_signal = place.get(feature.signal, zero)
+            of_filters = [first + index for index in feature.filters]
+            pairs.append(
+                {
+                    "raw": (of_signal, zero),
+                    "lowpass": (*of_filters, zero),
+                    "difference": (of_signal, *of_filters),
+                }.get(feature.kind, tuple(of_filters))
+            )
+        self._plus, self._minus = (np.array(column, dtype=np.intp) for column in zip(*pairs, strict=True))
 
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._known:
-            self._known[name] = _DEFINITIONS[name](self)
-        return self._known[name]
+    def signals(self, channels: Channels) -> Array:
+        """The signals (n, used) of n samples."""
+        columns: Columns = {"voltage": channels.voltage_V, "current": channels.current_A}
+        if channels.ambient_C is not None:
+            columns["ambient"] = channels.ambient_C
+        table = np.empty((len(channels.voltage_V), len(self._signals)))
+        for index, name in enumerate(self._signals):
+            table[:, index] = _signal(name, columns, self._resistance_ohm)
+        return table
 
-    def emf(self) -> Array:
-        """Back-EMF with the winding taken as cold: v - R i, in volts."""
-        result: Array = self["voltage"] - self._resistance_ohm * self["current"]
-        return result
+    def drive(self, signals: Array) -> Array:
+        """The input (n, S) of each filter."""
+        return signals.take(self._drive, axis=1)
+
+    def features(self, signals: Array, filtered: Array) -> Array:
+        """Features (m, F) in SI, of signals (m, used) and filters (m, S) after the same samples."""
+        table = np.concatenate((signals, filtered, np.zeros((len(signals), 1))), axis=1)
+        features: Array = table.take(self._plus, axis=1)
+        features -= table.take(self._minus, axis=1)
+        return features
 
 
-_DEFINITIONS: Mapping[str, Callable[[Signals], Array]] = {
+def _signal(name: str, known: Columns, resistance_ohm: float) -> Array:
+    if name not in known:
+        if name in ("emf", "emf_squared", "emf_power") and "emf" not in known:
+            # Back-EMF with the winding taken as cold.
+            known["emf"] = known["voltage"] - resistance_ohm * known["current"]
+        if name != "emf":
+            known[name] = _PRODUCTS[name](known)
+    return known[name]
+
+
+_PRODUCTS: Mapping[str, Callable[[Columns], Array]] = {
     "one": lambda s: np.ones_like(s["voltage"]),
     "current_squared": lambda s: s["current"] * s["current"],
     "voltage_squared": lambda s: s["voltage"] * s["voltage"],
     "power": lambda s: s["voltage"] * s["current"],
-    "emf": Signals.emf,
     "emf_squared": lambda s: s["emf"] * s["emf"],
     "emf_power": lambda s: s["emf"] * s["current"],
 }
-
-
-def drive_of(bank: FilterBank, signals: Signals) -> Array:
-    """The input (n, S) of each filter of the bank."""
-    drive = np.empty((len(signals["voltage"]), len(bank.signals)))
-    for column, name in enumerate(bank.signals):
-        drive[:, column] = signals[name]
-    return drive
-
-
-def feature_rows(
-    specification: Specification, signals: Signals, filtered: Array, rows: NDArray[np.intp] | slice
-) -> Array:
-    """Features (len(rows), F) in SI; `filtered` (n, S) is the bank after each of the n samples."""
-    chosen = filtered[rows]
-    features = np.empty((len(chosen), len(specification.features)))
-    for column, feature in enumerate(specification.features):
-        if feature.kind == "raw":
-            features[:, column] = signals[feature.signal][rows]
-        elif feature.kind == "lowpass":
-            features[:, column] = chosen[:, feature.filters[0]]
-        elif feature.kind == "difference":
-            features[:, column] = signals[feature.signal][rows] - chosen[:, feature.filters[0]]
-        else:
-            features[:, column] = chosen[:, feature.filters[0]] - chosen[:, feature.filters[1]]
-    return features

@@ -5,6 +5,7 @@ and its doubts are said in the quality word. All decisions depend on earlier sam
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +76,19 @@ class Gate:
         self._specification = specification
         envelope = specification.envelope
         self._period_ns = round(period_s * 1e9)
+        self._slowest_ns, self._fastest_ns = (
+            1.01e9 / specification.minimum_rate_Hz,
+            0.99e9 / specification.maximum_rate_Hz,
+        )
         self._warm_up_ns = round(specification.warm_up_s * 1e9)
         self._voltage_span = envelope.voltage_V[1] - envelope.voltage_V[0]
         self._current_span = envelope.current_A[1] - envelope.current_A[0]
         self._voltage_limit = _ABSURD * max(map(abs, envelope.voltage_V))
+        inductance_H = specification.inductance_H
+        self._slew_A_ns = (
+            3e-9 * max(map(abs, envelope.voltage_V)) / inductance_H if inductance_H > 0 else np.inf
+        )
+        self._usual_rate = self._slowest_ns >= self._period_ns >= self._fastest_ns
         self._current_limit = _ABSURD * max(map(abs, envelope.current_A))
 
     def inspect(self, state: GateState, samples: Samples) -> tuple[GateState, Gated]:
@@ -91,6 +101,9 @@ class Gate:
             raise DataError(
                 "the sensor needs the ambient temperature: give an ambient column, or --ambient DEGREES_C"
             )
+        plain = self._plain(state, samples)
+        if plain is not None:
+            return plain
         time_ns = samples.time_ns
         n = len(time_ns)
         quality = np.zeros(n, dtype=np.uint32) if samples.flags is None else samples.flags.astype(np.uint32)
@@ -126,6 +139,60 @@ class Gate:
         new = replace(new, first_ns=first_ns, bridged_until_ns=until, count=state.count + n)
         return new, Gated(dt_ns.astype(np.float64) * 1e-9, voltage, current, ambient, quality, used)
 
+    def _plain(self, state: GateState, samples: Samples) -> tuple[GateState, Gated] | None:
+        """The usual case, decided by a handful of numbers: nothing to flag but what the source says; else None.
+
+        What it returns is what the full inspection would; it only costs a tenth.
+        """
+        time_ns, voltage, current = samples.time_ns, samples.voltage_V, samples.current_A
+        n = len(time_ns)
+        if not n or state.last_ns is None or state.first_ns is None or self._specification.needs_ambient:
+            return None
+        first, last = int(time_ns[0]), int(time_ns[-1])
+        if (
+            first - state.last_ns != self._period_ns
+            or last - first != (n - 1) * self._period_ns
+            or not self._usual_rate
+            or first < state.bridged_until_ns
+            or first - state.first_ns < self._warm_up_ns
+            or (n > 1 and not (np.diff(time_ns) == self._period_ns).all())
+        ):
+            return None
+        envelope = self._specification.envelope
+        lowest, highest = float(np.minimum.reduce(voltage)), float(np.maximum.reduce(voltage))
+        # Each comparison is false for NaN.
+        if not (envelope.voltage_V[0] <= lowest and highest <= envelope.voltage_V[1]):
+            return None
+        if not (
+            envelope.current_A[0] <= np.minimum.reduce(current)
+            and np.maximum.reduce(current) <= envelope.current_A[1]
+        ):
+            return None
+        steps = np.empty(n)
+        steps[0] = current[0] - state.current_A
+        np.subtract(current[1:], current[:-1], out=steps[1:])
+        if np.maximum.reduce(np.abs(steps)) > self._slew_limit(self._period_ns):
+            return None
+        low, high = min(lowest, state.voltage_V), max(highest, state.voltage_V)
+        if high - low > _MOVE_SHARE * self._voltage_span or low <= 0 <= high:
+            return None  # a move of the voltage, or a dead one, needs the full account
+        changed = np.flatnonzero(steps)
+        end = state.count + n
+        since, first_move = state.current_since, state.first_move
+        if (end - 1 if len(changed) == 0 else state.count + int(changed[0]) - 1) - first_move >= _REPEATS:
+            return None
+        if len(changed):
+            since, first_move = state.count + int(changed[-1]), _NEVER
+        new = GateState(
+            state.first_ns, last, float(voltage[-1]), float(current[-1]), state.ambient_C, state.bridged_until_ns, end,
+            since, first_move, end - 1,
+        )  # fmt: skip
+        quality = np.zeros(n, dtype=np.uint32) if samples.flags is None else samples.flags.astype(np.uint32)
+        ambient = None
+        return new, Gated(
+            np.full(n, self._period_ns * 1e-9), voltage, current, ambient, quality, np.ones(n, dtype=bool)
+        )
+
     def _steps(
         self, state: GateState, time_ns: NDArray[np.int64], used: NDArray[np.bool_], good: NDArray[np.intp]
     ) -> tuple[NDArray[np.int64], int | None]:
@@ -152,11 +219,11 @@ class Gate:
             mark(quality, slice(None), Quality.WARM_UP)
             return
         mark(quality, time_ns - first_ns < self._warm_up_ns, Quality.WARM_UP)
-        slowest, fastest = (
-            1.01e9 / self._specification.minimum_rate_Hz,
-            0.99e9 / self._specification.maximum_rate_Hz,
+        mark(
+            quality,
+            used & ((dt_ns > self._slowest_ns) | (dt_ns < self._fastest_ns)),
+            Quality.OUTSIDE_ENVELOPE,
         )
-        mark(quality, used & ((dt_ns > slowest) | (dt_ns < fastest)), Quality.OUTSIDE_ENVELOPE)
 
     def _judge_range(
         self, voltage: Array, current: Array, used: NDArray[np.bool_], quality: NDArray[np.uint32]
@@ -174,9 +241,11 @@ class Gate:
             return
         previous = state.current_A if state.last_ns is not None else current[0]
         step = np.abs(np.diff(current, prepend=previous))
-        supply = 2 * max(map(abs, self._specification.envelope.voltage_V))
-        limit = 1.5 * supply / self._specification.inductance_H * (dt_ns * 1e-9) + 0.02 * self._current_span
-        mark(quality, (dt_ns > 0) & (step > limit), Quality.JUMP)
+        mark(quality, (dt_ns > 0) & (step > self._slew_limit(dt_ns)), Quality.JUMP)
+
+    def _slew_limit(self, dt_ns: Any) -> Any:
+        """Largest credible change of the current in `dt_ns`."""
+        return self._slew_A_ns * dt_ns + 0.02 * self._current_span
 
     def _judge_stuck(
         self, state: GateState, voltage: Array, current: Array, quality: NDArray[np.uint32]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from motorlens_runtime.backend import Backend, NumpyBackend, OrtBackend
 from motorlens_runtime.bank import BLOCK, FilterBank, bank_of
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.features import Signals, drive_of, feature_rows
+from motorlens_runtime.features import Channels, FeatureMap
 from motorlens_runtime.onnx_file import OnnxFile, check_seal, parse
 from motorlens_runtime.specification import Specification, parse_specification
 
@@ -35,6 +35,7 @@ class Sensor:
     specification: Specification
     card: dict[str, Any]
     bank: FilterBank
+    features: FeatureMap
     backend: Backend
     checker: Backend | None
 
@@ -67,7 +68,7 @@ def load_sensor(path: str | Path, backend: str = "auto") -> Sensor:
         where, _entry(model, "motorlens.name", where, Path(path).stem), _entry(model, "motorlens.version", where, ""),
         _entry(model, "motorlens.licence", where, ""), digest, specification,
         _json(model, "motorlens.card", where, default="{}"),
-        bank_of(specification), chosen, checker,
+        bank_of(specification), FeatureMap(specification), chosen, checker,
     )  # fmt: skip
     _check_golden(sensor, _json(model, "motorlens.golden", where))
     return sensor
@@ -117,12 +118,12 @@ def _check_golden(sensor: Sensor, golden: dict[str, Any]) -> None:
         tolerance = float(golden["tolerance"])
         if not len(time_ns):
             raise ValueError("empty")
-        signals = Signals(specification, voltage, current, ambient)
+        signals = sensor.features.signals(Channels(voltage, current, ambient))
         dt_s = np.diff(time_ns, prepend=time_ns[0] - specification.first_dt_ns) * 1e-9
-        _, filtered = sensor.bank.advance(sensor.bank.start(), dt_s, drive_of(sensor.bank, signals))
+        _, filtered = sensor.bank.advance(sensor.bank.start(), dt_s, sensor.features.drive(signals))
     except (KeyError, ValueError, TypeError) as error:
         raise ModelError(f"{where}: golden sequence is damaged ({type(error).__name__}: {error})") from None
-    rows = feature_rows(specification, signals, filtered, slice(None))
+    rows = sensor.features.features(signals, filtered)
     blocks = np.zeros((-(-len(rows) // BLOCK), BLOCK, rows.shape[1]))
     blocks.reshape(-1, rows.shape[1])[: len(rows)] = rows
     for backend in (sensor.backend, sensor.checker):

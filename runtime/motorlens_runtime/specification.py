@@ -50,7 +50,7 @@ class Filter:
 
 @dataclass(frozen=True)
 class Feature:
-    """One input of the network: kind, the signal (raw, difference) and the filters (lowpass, difference, between)."""
+    """One input of the network: kind, its signal (raw, difference; else "") and filters (lowpass, difference, between)."""
 
     kind: str
     signal: str
@@ -147,7 +147,7 @@ def _signal(name: str, where: str) -> str:
 
 def _feature(entry: dict[str, Any], filters: int, where: str) -> Feature:
     kind = entry["kind"]
-    signal = _signal(entry["signal"], where) if kind in ("raw", "difference") else "one"
+    signal = _signal(entry["signal"], where) if kind in ("raw", "difference") else ""
     chosen = {
         "raw": (),
         "lowpass": (entry.get("filter"),),
