@@ -24,7 +24,7 @@ class AmbientDrift(Effect):
     """
 
     states: ClassVar[Mapping[str, State]] = {"z": State("1", "share of the drift that has come about")}
-    excited_by: ClassVar[tuple[str, ...]] = ("heat_soak", "direct_on_line", "duty")
+    excited_by: ClassVar[tuple[str, ...]] = ("heat_soak", "direct_on_line")
 
     d: float = param(
         0.0, "K", "final distance from the ambient recorded", bounds=(-100.0, 100.0), prior=5.0, null=0.0

@@ -22,7 +22,7 @@ class CoggingTorque(Effect):
     """
 
     states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle")}
-    excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp", "coast_down")
+    excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp",)
 
     A: float = param(0.0, "N*m", "amplitude", bounds=(0.0, 1e3), prior=0.02, of="torque", null=0.0)
     N: float = param(

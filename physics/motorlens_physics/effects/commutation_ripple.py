@@ -23,7 +23,7 @@ class CommutationRipple(Effect):
     """
 
     states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle")}
-    excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp", "locked_rotor")
+    excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp", "no_load_steps")
 
     eps: float = param(0.0, "1", "relative amplitude", bounds=(-0.5, 0.5), prior=0.05, null=0.0)
     N: float = param(6.0, "1", "ripples a revolution", bounds=(1.0, 1000.0), prior=6.0, fixed=True)

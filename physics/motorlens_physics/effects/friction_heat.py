@@ -21,7 +21,7 @@ class FrictionHeat(Effect):
     1.5
     """
 
-    excited_by: ClassVar[tuple[str, ...]] = ("no_load_steps", "direct_on_line", "heat_soak")
+    excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "heat_soak")
 
     s: float = param(
         0.0, "1", "share of the friction that heats the winding", bounds=(0.0, 1.0), prior=0.3, null=0.0

@@ -19,7 +19,7 @@ class InductanceSaturation(Effect):
     -0.006
     """
 
-    excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "locked_rotor", "duty")
+    excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "duty")
 
     s: float = param(
         0.0,

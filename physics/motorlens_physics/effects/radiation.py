@@ -23,7 +23,7 @@ class Radiation(Effect):
     -44.57
     """
 
-    excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "locked_rotor", "heat_soak")
+    excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "heat_soak")
 
     G_r: float = param(
         0.0,

@@ -21,7 +21,7 @@ class StribeckFriction(Effect):
     -0.139535
     """
 
-    excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp", "coast_down", "no_load_steps")
+    excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp", "no_load_steps")
     friction: ClassVar[bool] = True
 
     tau_s: float = param(

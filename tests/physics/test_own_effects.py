@@ -1,0 +1,147 @@
+"""A user's own effect, in one file outside the package, works like a built-in one; what is wrong with it is said."""
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.effect_contract import CONTRACT
+
+from motorlens_physics.effect import catalogue, load_effects
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import read_recording
+from motorlens_physics.simulation import Inputs, simulate
+from motorlens_runtime.cli import main
+from motorlens_runtime.errors import DataError
+
+PAPER = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+
+# All that a user writes to add physics that the catalogue lacks: a propeller in water, say, with a cubic torque.
+OWN = '''
+"""A torque that grows with the cube of speed."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.parameter import param
+
+
+@dataclass(frozen=True)
+class CubicDrag(Effect):
+    """A torque that grows with the cube of speed: -c w^3. doi:10.1000/182.
+
+    >>> from types import SimpleNamespace as At
+    >>> CubicDrag(c=0.5).torque(None, At(w=-2.0), None)  # 0.5 8
+    4.0
+    """
+
+    excited_by: ClassVar[tuple[str, ...]] = ("coast_down",)
+    friction: ClassVar[bool] = True
+
+    c: float = param(0.0, "N*m*s^3/rad^3", "cubic drag", bounds=(0.0, 1.0), prior=0.02, of="torque/speed^3", null=0.0)
+
+    def torque(self, m: Any, x: Any, u: Any) -> Any:
+        return -self.c * x.w**3
+'''
+
+
+@pytest.fixture
+def own(tmp_path):
+    path = tmp_path / "my_effects.py"
+    path.write_text(OWN, encoding="utf-8")
+    return path
+
+
+def test_it_is_found_beside_the_catalogue_and_keeps_the_contract(own):
+    (name, effect), *rest = load_effects(own).items()
+    assert name == "cubic_drag" and not rest and name not in catalogue()
+    for check in CONTRACT:
+        check(effect)
+
+
+def test_it_is_listed(own, capsys):
+    assert main(["effects", "cubic_drag", "--effects-from", str(own)]) == 0
+    assert "J dw/dt += -c*w^3" in capsys.readouterr().out
+
+
+def test_it_is_simulated_as_its_closed_form_says(own):
+    """A coasting rotor with nothing but cubic drag: w = w0 / sqrt(1 + 2 c w0^2 t / J)."""
+    file = read_motor_file(PAPER)
+    effect = load_effects(own)["cubic_drag"](c=1e-6)
+    motor = file.motor.with_effect(effect)
+    coasting = motor.__class__(**{**vars(motor), "ke": 1e-6, "b": 0.0, "R_a0": 1e4})
+    time = np.linspace(0.0, 5.0, 501)
+    still = np.zeros_like(time)
+    speed = simulate(coasting, Inputs(time, still, still, still + 20.0), {"w": 200.0}).speed_rad_s
+    expected = 200.0 / np.sqrt(1 + 2 * 1e-6 * 200.0**2 * time / file.motor.J)
+    np.testing.assert_allclose(speed, expected, rtol=1e-4)
+
+
+def test_the_command_simulates_with_it(own, tmp_path):
+    arguments = ["simulate", str(PAPER), "--scenario", "no_load_steps", "--effects-from", str(own)]
+    ends = []
+    for c in ("0", "2e-7"):
+        output = str(tmp_path / f"{c}.csv")
+        assert (
+            main(
+                [
+                    *arguments,
+                    "--effect",
+                    f"cubic_drag.c={c}",
+                    "-o",
+                    output,
+                    "--json",
+                    str(tmp_path / "s.json"),
+                ]
+            )
+            == 0
+        )
+        ends.append(json.loads((tmp_path / "s.json").read_text())["maximum"]["speed"])
+    assert 0.5 < ends[0] - ends[1] < 50.0
+    assert len(read_recording(tmp_path / "0.csv")) > 100
+
+
+def test_a_motor_file_holds_it(own, tmp_path):
+    text = (
+        PAPER.read_text(encoding="utf-8")
+        + '\n[effects.cubic_drag]\nc = { value = 1e-7, unit = "N*m*s^3/rad^3" }\n'
+    )
+    (tmp_path / "motor.toml").write_text(text, encoding="utf-8")
+    file = read_motor_file(tmp_path / "motor.toml", load_effects(own).values())
+    assert file.values()["cubic_drag.c"] == 1e-7
+
+
+def test_it_travels_to_another_process(own):
+    effect = load_effects(own)["cubic_drag"](c=1e-7)
+    assert pickle.loads(pickle.dumps(effect)) == effect
+
+
+MISTAKES = {
+    "not Python": ("def (:\n", "line 1: not Python"),
+    "does not run": ("import nowhere_to_be_found\n", "does not run: ModuleNotFoundError"),
+    "nothing in it": ("x = 3\n", "defines no effect"),
+    "no decorator": (OWN.replace("@dataclass(frozen=True)\n", ""), "not a frozen dataclass"),
+    "not frozen": (OWN.replace("(frozen=True)", ""), "does not run: TypeError"),
+    "no switch": (OWN.replace(", null=0.0", ""), "needs exactly one parameter with null"),
+    "a name that is taken": (
+        OWN.replace("CubicDrag", "QuadraticDrag"),
+        "quadratic_drag is already in the catalogue",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes_are_named_with_the_file(mistake, tmp_path):
+    text, said = MISTAKES[mistake]
+    path = tmp_path / "my_effects.py"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(DataError) as caught:
+        load_effects(path)
+    assert said in str(caught.value) and "my_effects.py" in str(caught.value)
+
+
+def test_a_file_that_is_not_there():
+    with pytest.raises(DataError, match="no such file"):
+        load_effects("nowhere.py")
