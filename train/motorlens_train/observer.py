@@ -18,26 +18,15 @@ stored as its distance from the start, so that a state of zeros is a fresh obser
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.symbols import named
+from motorlens_train.observer_file import MEMORY, WINDOW, Observer
 from motorlens_train.observer_model import Equations, equations
 from motorlens_train.observer_program import Program, Recorder, Value, record
-
-Array = NDArray[np.float64]
-
-# What `accumulate` keeps, in this order; behind it stand `MEMORY`, the states and the upper half of their covariance.
-WINDOW = ("alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends", "sum_steps", "sum_changes")  # fmt: skip
-TIME = WINDOW.index("time")
-# Kept from window to window: the average of the innovations and the excess of their squares.
-MEMORY = ("drift", "restless")
+from motorlens_train.specification import Bank, Feature
 
 
 @dataclass(frozen=True)
@@ -73,48 +62,16 @@ class ObserverSettings:
     tolerances: tuple[tuple[str, float], ...] = ()
 
 
-@dataclass(frozen=True)
-class Observer:
-    """The observer of a sensor.
-
-    Attributes:
-        period_s: a window is full after this time.
-        size: length S of the state.
-        accumulate: (voltage, current, ambient, dt, state) -> the first `len(WINDOW)` entries of the state.
-        correct: (ambient, state) -> state.
-        read: (ambient, state) -> outputs.
-        outputs: names of what `read` gives.
-    """
-
-    period_s: float
-    size: int
-    accumulate: Program
-    correct: Program
-    read: Program
-    outputs: tuple[str, ...]
-
-    def document(self) -> dict[str, Any]:
-        """As it stands under `observer` in a sensor's specification."""
-        programs = {name: getattr(self, name).document() for name in ("accumulate", "correct", "read")}
-        return {"period_s": self.period_s, "size": self.size, "window": len(WINDOW), "time": TIME, "outputs": list(self.outputs)} | programs
-
-    @property
-    def full_s(self) -> float:
-        """A window is full when its time reaches this: a millionth below the period, for grids that miss it by rounding."""
-        return self.period_s * (1 - 1e-6)
-
-    def run(
-        self, dt_s: Array, voltage_V: Array, current_A: Array, ambient_C: Array, state: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Outputs (N, M) at every sample, and the state (S,) after the last; all inputs (N,)."""
-        start = np.zeros(self.size) if state is None else np.array(state, dtype=np.float64)
-        columns = np.column_stack([voltage_V, current_A, ambient_C, dt_s])
-        return _loop(self)(np.ascontiguousarray(columns), start)  # type: ignore[no-any-return]
-
-
 def observer(file: MotorFile, settings: ObserverSettings = ObserverSettings()) -> Observer:
     """The observer of a motor: its textbook part and its effects (those that need the shaft angle left out)."""
     return _Design(file, settings).observer()
+
+
+def with_observer(bank: Bank, file: MotorFile, settings: ObserverSettings = ObserverSettings()) -> Bank:
+    """A feature bank beside which the observer of a motor runs: its outputs are further features."""
+    added = observer(file, settings)
+    features = tuple(Feature("observer", filters=(k,)) for k in range(len(added.outputs)))
+    return replace(bank, observer=added, features=(*bank.features, *features))
 
 
 class _Design:
@@ -146,7 +103,9 @@ class _Design:
 
     def observer(self) -> Observer:
         outputs, read = self.read()
-        return Observer(self.period, self.size, self.accumulate(), self.correct(), read, outputs)
+        return Observer(
+            self.period, self.size, self.accumulate(), self.correct(), read, outputs, float(self.rated.ambient_C)
+        )
 
     def accumulate(self) -> Program:
         r = Recorder()
@@ -155,7 +114,7 @@ class _Design:
         h = dt * alive
         first = 1.0 - alive
         # Where in the step the voltage changed nobody knows; what is below three deviations is noise.
-        change = ((v - v_old) * (v - v_old) - 18 * self.v_sd**2).max(0.0) * (1 / 12)
+        change = ((v - v_old) * (v - v_old) - 18 * self.v_sd**2).max(0.0) * (1 / 4)
         mean_square = (i * i + i_old * i_old + i * i_old) * (1 / 3)
         # The current bends within a step that is not short against L/R; for a voltage that runs linearly the mean over the
         # step is known exactly: (i + i_old)/2 + (tau/h - coth(h/(2 tau))/2)/R times how far the step is from steady state.
@@ -382,27 +341,3 @@ def _exponential(rate: Any, T: Any) -> tuple[Any, Any]:
     decay = (rate * T).exp()
     small = (rate * T).abs() <= 1e-7
     return decay, small.select(T, (decay - 1.0) / small.select(1.0, rate))
-
-
-@cache
-def _loop(design: Observer) -> Any:
-    accumulate, correct, read = (p.compiled() for p in (design.accumulate, design.correct, design.read))
-    size, width, full, M = design.size, len(WINDOW), design.full_s, len(design.outputs)
-
-    @njit(error_model="numpy")
-    def run(columns: Array, state: Array) -> tuple[Array, Array]:  # pragma: no cover - compiled
-        out = np.empty((len(columns), M))
-        sample, window = np.empty(4 + width), np.empty(1 + size)
-        new = np.empty(size)
-        for k in range(len(columns)):
-            sample[:4], sample[4:] = columns[k], state[:width]
-            accumulate(sample, state[:width])
-            if state[TIME] >= full:
-                window[0], window[1:] = columns[k, 2], state
-                correct(window, new)
-                state[:] = new
-            window[0], window[1:] = columns[k, 2], state
-            read(window, out[k])
-        return out, state
-
-    return run

@@ -60,6 +60,21 @@ class Program:
             "steps": [[name, *arguments] for name, arguments in self.steps], "outputs": list(self.outputs),
         }  # fmt: skip
 
+    @staticmethod
+    def from_document(document: Mapping[str, Any]) -> "Program":
+        """The inverse of `document`.
+
+        Raises:
+            KeyError, ValueError: it is not one.
+        """
+        steps = tuple((str(step[0]), tuple(int(a) for a in step[1:])) for step in document["steps"])
+        first = len(document["inputs"]) + len(document["constants"])
+        for k, (name, arguments) in enumerate(steps):
+            if OPERATIONS[name][0] != len(arguments) or any(not 0 <= a < first + k for a in arguments):
+                raise ValueError(f"step {k}: {name} of {arguments}")
+        numbers = tuple(float(value) for value in document["constants"])
+        return Program(tuple(document["inputs"]), numbers, steps, tuple(int(r) for r in document["outputs"]))
+
     def lines(self, templates: Mapping[str, str], register: str, number: Callable[[float], str]) -> list[str]:
         """One assignment a step, in the syntax of `templates`; inputs and results are named `register` + number."""
         first = len(self.inputs) + len(self.constants)

@@ -1,0 +1,105 @@
+"""An observer as a sensor file holds it: three straight-line programs and the layout of its state; and how to run it.
+
+`accumulate` runs at every sample, `correct` when the window is full, `read` when a value is asked for. A state of zeros is a
+fresh observer.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motorlens_train.observer_program import Program
+
+Array = NDArray[np.float64]
+
+# What `accumulate` keeps, in this order; behind it stand `MEMORY`, the states and the upper half of their covariance.
+WINDOW = ("alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends", "sum_steps", "sum_changes")  # fmt: skip
+TIME = WINDOW.index("time")
+# Kept from window to window: the average of the innovations and the excess of their squares.
+MEMORY = ("drift", "restless")
+
+
+@dataclass(frozen=True)
+class Observer:
+    """The observer of a sensor.
+
+    Attributes:
+        period_s: a window is full after this time.
+        size: length S of the state.
+        accumulate: (voltage, current, ambient, dt, state) -> the first `len(WINDOW)` entries of the state.
+        correct: (ambient, state) -> state.
+        read: (ambient, state) -> outputs.
+        outputs: names of what `read` gives.
+        ambient_C: the ambient temperature where none is measured.
+    """
+
+    period_s: float
+    size: int
+    accumulate: Program
+    correct: Program
+    read: Program
+    outputs: tuple[str, ...]
+    ambient_C: float = 20.0
+
+    def document(self) -> dict[str, Any]:
+        """As it stands under `observer` in a sensor's specification."""
+        programs = {name: getattr(self, name).document() for name in ("accumulate", "correct", "read")}
+        sizes = {"size": self.size, "window": len(WINDOW), "time": TIME}
+        return {"period_s": self.period_s, "ambient_C": self.ambient_C, **sizes, "outputs": list(self.outputs)} | programs
+
+    @staticmethod
+    def from_document(document: Mapping[str, Any]) -> "Observer":
+        """The inverse of `document`.
+
+        Raises:
+            KeyError, ValueError: it is not one.
+        """
+        programs = {name: Program.from_document(document[name]) for name in ("accumulate", "correct", "read")}
+        if document["window"] != len(WINDOW) or document["time"] != TIME:
+            raise ValueError("an observer with another window")
+        return Observer(
+            float(document["period_s"]), int(document["size"]), outputs=tuple(document["outputs"]),
+            ambient_C=float(document["ambient_C"]), **programs,
+        )  # fmt: skip
+
+    @property
+    def full_s(self) -> float:
+        """A window is full when its time reaches this: a millionth below the period, for grids that miss it by rounding."""
+        return self.period_s * (1 - 1e-6)
+
+    def run(
+        self, dt_s: Array, voltage_V: Array, current_A: Array, ambient_C: Array, state: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs (N, M) at every sample, and the state (S,) after the last; all inputs (N,)."""
+        start = np.zeros(self.size) if state is None else np.array(state, dtype=np.float64)
+        columns = np.column_stack([voltage_V, current_A, ambient_C, dt_s])
+        return _loop(self)(np.ascontiguousarray(columns), start)  # type: ignore[no-any-return]
+
+
+@cache
+def _loop(design: Observer) -> Any:
+    accumulate, correct, read = (p.compiled() for p in (design.accumulate, design.correct, design.read))
+    size, width, full, M = design.size, len(WINDOW), design.full_s, len(design.outputs)
+
+    @njit(error_model="numpy")
+    def run(columns: Array, state: Array) -> tuple[Array, Array]:  # pragma: no cover - compiled
+        out = np.empty((len(columns), M))
+        sample, window = np.empty(4 + width), np.empty(1 + size)
+        new = np.empty(size)
+        for k in range(len(columns)):
+            sample[:4], sample[4:] = columns[k], state[:width]
+            accumulate(sample, state[:width])
+            if state[TIME] >= full:
+                window[0], window[1:] = columns[k, 2], state
+                correct(window, new)
+                state[:] = new
+            window[0], window[1:] = columns[k, 2], state
+            read(window, out[k])
+        return out, state
+
+    return run
