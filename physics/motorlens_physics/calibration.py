@@ -39,9 +39,15 @@ TOLERANCE = 1e-5
 GAP = 1e-3
 # A parameter whose deviation shrank by less than this share is not identified.
 SHRUNK = 0.9
+# Parameters more correlated than this are known only together.
+CONFOUNDED = 0.99
 # Smallest noise that is believed, as a share of the channel's largest value.
 SMALLEST_NOISE = 1e-6
 ITERATIONS = 60
+# A step this small, in deviations of the result, is the last.
+SMALL_STEP = 0.02
+# Blocks of time whose contributions are compared.
+BLOCKS = 64
 
 
 @dataclass(frozen=True)
@@ -54,12 +60,14 @@ class Calibration:
         sd: standard deviation by key; of a parameter fitted in its logarithm, the value times that of the logarithm.
         correlation: (k, k).
         unidentified: what the recordings do not tell, by key, in words.
+        confounded: pairs of parameters that the recordings tell only together, in words.
         residuals: for each recording, channel to measured less predicted (N,).
         noise_sd: for each recording, channel to the deviation of its residuals.
         initial: for each recording, its initial state.
         load_torque_Nm: for each recording, the constant load fitted; empty if none was asked for.
         iterations: accepted steps.
         converged: whether the last step was small against the deviations.
+        held: whether inputs were held between samples.
         file: the motor file with values, deviations and sources of what was identified written in.
     """
 
@@ -68,13 +76,22 @@ class Calibration:
     sd: Mapping[str, float]
     correlation: Array
     unidentified: Mapping[str, str]
+    confounded: tuple[str, ...]
     residuals: tuple[Mapping[str, Array], ...]
     noise_sd: tuple[Mapping[str, float], ...]
     initial: tuple[Mapping[str, float], ...]
     load_torque_Nm: tuple[float, ...]
     iterations: int
     converged: bool
+    held: bool
     file: MotorFile
+
+
+def default_keys(file: MotorFile, recordings: Sequence[Recording]) -> list[str]:
+    """All parameters that the measured channels can show: without a temperature none that is thermal alone."""
+    thermal = {"alpha", "k0", "kT", "k_ir", "H"}
+    warm = any(recording.has("temperature") for recording in recordings)
+    return [key for key in file.values() if not file.meaning(key).fixed and (warm or key not in thermal)]
 
 
 def calibrate(
@@ -82,7 +99,7 @@ def calibrate(
     recordings: Sequence[Recording],
     free: Sequence[str],
     *,
-    held: bool = False,
+    held: bool | None = None,
     fit_load: bool = False,
     window_s: float | None = None,
     colour: int | None = None,
@@ -95,7 +112,7 @@ def calibrate(
         file: the motor, with what is known of it; deviations stated there are priors.
         recordings: any subset of current, speed and temperature measured; rates may differ. Load torque absent is zero.
         free: keys of parameters of motor, effects and sensors.
-        held: whether inputs hold between samples; otherwise they run linearly.
+        held: whether inputs hold between samples or run linearly; None takes what fits better.
         fit_load: whether each recording has an unknown constant load torque besides what was recorded.
         window_s: length of the windows of multiple shooting; None simulates each recording in one run.
         colour: order of the autoregression that whitens residuals; 0 takes them as white, None decides by them.
@@ -108,14 +125,26 @@ def calibrate(
     """
     if not recordings or not free:
         raise ModelError("calibration needs at least one recording and one free parameter")
-    runs = runs_of(file, recordings, held=held, window_s=window_s)
-    unknowns = parameter_unknowns(file, free)
-    unknowns += local_unknowns(file, runs, fit_load=fit_load, start_sd_K=start_sd_K)
-    problem = _Problem(file, runs, unknowns)
-    q, noise, iterations, converged = _minimise(problem, colour, progress)
-    normal, _ = _normal_equations(problem, q, noise)
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return _report(problem, recordings, q, noise, covariance, iterations, converged)
+
+    def posed(hold: bool) -> _Problem:
+        runs = runs_of(file, recordings, held=hold, window_s=window_s)
+        unknowns = parameter_unknowns(file, free)
+        unknowns += local_unknowns(file, runs, fit_load=fit_load, start_sd_K=start_sd_K)
+        return _Problem(file, runs, unknowns)
+
+    problem = posed(bool(held))
+    q, noise, iterations, converged = _minimise(problem, problem.means, 0, progress)
+    if held is None:
+        other = posed(True)
+        found = _minimise(other, q, 0, progress)
+        if _criterion(other, found[1]) < _criterion(problem, noise):
+            problem, held, (q, noise, iterations, converged) = other, True, found
+    if colour != 0:
+        q, noise, more, converged = _minimise(problem, q, colour, progress)
+        iterations += more
+    normal, _, scores = _normal_equations(problem, q, noise)
+    covariance = _covariance(normal, scores)
+    return _report(problem, recordings, q, noise, covariance, iterations, converged, bool(held))
 
 
 @dataclass(frozen=True)
@@ -183,16 +212,20 @@ def _loss(problem: _Problem, q: Array, noise: Sequence[Mapping[str, Noise]]) -> 
 
 def _normal_equations(
     problem: _Problem, q: Array, noise: Sequence[Mapping[str, Noise]]
-) -> tuple[Array, Array]:
-    """Gauss-Newton: the matrix and the right-hand side, priors included."""
+) -> tuple[Array, Array, Array]:
+    """Gauss-Newton: the matrix and the right-hand side, priors included, and the latter's parts by blocks of time."""
     points = problem.at(q)
     slopes = np.array([unknown.slope(unknown.value(q[j])) for j, unknown in enumerate(problem.unknowns)])
+
+    blocks = max(BLOCKS // len(problem.runs), 1)
 
     def one(k: int) -> tuple[Array, Array, Array, Array]:
         run, at, sizes = problem.runs[k], points[k], noise[k]
         keys = [problem.unknowns[j].key for j in at.own]
         shown, columns, end, ends = differentiate(run, at, keys, tolerance=TOLERANCE)
-        normal, right = np.zeros((len(keys), len(keys))), np.zeros(len(keys))
+        samples = run.inputs.time_s.size
+        edges = np.unique(np.linspace(0, samples, min(blocks, samples) + 1).astype(int)[:-1])
+        normal, scores = np.zeros((len(keys), len(keys))), np.zeros((edges.size, len(keys)))
         for channel, size in sizes.items():
             residual = _residual(run, shown, channel)
             missing = ~np.isfinite(residual)
@@ -201,17 +234,21 @@ def _normal_equations(
             white, e = size.whitened(jacobian), size.whitened(np.nan_to_num(residual))
             weights = huber_weights(e)
             normal += white.T @ (weights[:, None] * white)
-            right += white.T @ (weights * e)
-        return normal, right, end, ends * slopes[list(at.own)]
+            scores += np.add.reduceat((weights * e)[:, None] * white, edges, axis=0)
+        return normal, scores, end, ends * slopes[list(at.own)]
 
     with ThreadPoolExecutor(cores()) as pool:
         parts = list(pool.map(one, range(len(problem.runs))))
     normal = np.diag(1.0 / problem.sds**2)
     right = (problem.means - q) / problem.sds**2
-    for at, (own_normal, own_right, _, _) in zip(points, parts, strict=True):
+    scores = []
+    for at, (own_normal, own_scores, _, _) in zip(points, parts, strict=True):
         own = list(at.own)
         normal[np.ix_(own, own)] += own_normal
-        right[own] += own_right
+        wide = np.zeros((len(own_scores), len(q)))
+        wide[:, own] = own_scores
+        scores.append(wide)
+        right += wide.sum(axis=0)
     names, gaps = list(problem.file.motor.states()), problem.gaps()
     starts = {
         (unknown.run, unknown.key.removeprefix(INITIAL)): j
@@ -228,7 +265,21 @@ def _normal_equations(
         tie /= gaps[:, None]
         normal += tie.T @ tie
         right -= tie.T @ (gap / gaps)
-    return normal, right
+    return normal, right, np.concatenate(scores)
+
+
+def _covariance(normal: Array, scores: Array) -> Array:
+    """The covariance of the fit, no smaller than blocks of time bear out.
+
+    Residuals that the noise model does not explain, such as those of physics that is missing, agree over long stretches.
+    The sum of their contributions then varies more from block to block than the inverse of the normal matrix says (White
+    1982, doi:10.2307/1912526, by clusters); deviations are widened to that.
+    """
+    model = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    sandwich = model @ (scores.T @ scores) @ model
+    blocks = len(scores)
+    widened = np.sqrt(np.maximum(np.diag(sandwich) * blocks / max(blocks - 1, 1) / np.diag(model), 1.0))
+    return np.asarray(model * np.outer(widened, widened), dtype=np.float64)
 
 
 def _noise(problem: _Problem, q: Array, colour: int | None) -> list[dict[str, Noise]]:
@@ -241,42 +292,42 @@ def _noise(problem: _Problem, q: Array, colour: int | None) -> list[dict[str, No
     found = {}
     for (recording, channel), parts in residuals.items():
         of_channel = [run.measured[channel] for run in problem.runs if run.recording == recording]
-        largest = float(np.nanmax(np.abs(np.concatenate(of_channel)), initial=0.0))
+        joined = np.nan_to_num(np.concatenate(of_channel))
+        largest = float(np.max(np.abs(joined)))
         floor = max(SMALLEST_NOISE * largest, 1e-12)
         found[recording, channel] = estimate(np.concatenate(parts), floor, order=colour)
     return [{channel: found[run.recording, channel] for channel in run.measured} for run in problem.runs]
 
 
+def _criterion(problem: _Problem, noise: Sequence[Mapping[str, Noise]]) -> float:
+    """The concentrated likelihood: the sum of N log(sd) over all channels."""
+    sizes = ((run, size) for run, own in zip(problem.runs, noise, strict=True) for size in own.values())
+    return float(sum(run.inputs.time_s.size * np.log(size.sd) for run, size in sizes))
+
+
 def _minimise(
-    problem: _Problem, colour: int | None, progress: Callable[[str], None]
+    problem: _Problem, q: Array, order: int | None, progress: Callable[[str], None]
 ) -> tuple[Array, list[dict[str, Noise]], int, bool]:
-    """Levenberg-Marquardt: first with white noise, then with its colour, its size estimated anew after every step."""
-    q = problem.means
-    accepted, converged = 0, False
-    noise = _noise(problem, q, 0)
-    for order in (0,) if colour == 0 else (0, colour):
-        damping, converged = 1e-3, False
-        noise = _noise(problem, q, order)
-        while accepted < ITERATIONS and not converged:
-            loss = _loss(problem, q, noise)
-            normal, right = _normal_equations(problem, q, noise)
-            scale = np.diag(np.diag(normal))
-            while True:
-                change = np.linalg.solve(normal + damping * scale, right)
-                # In units of what the data can tell.
-                size = float(np.sqrt(max(change @ normal @ change, 0.0)))
-                trial = _within_bounds(problem, q + change)
-                lower = _loss(problem, trial, noise)
-                if lower < loss or size < 1e-3:
-                    break
-                damping *= 8.0
-                if damping > 1e12:
-                    break
-            if lower < loss:
-                q, accepted, damping = trial, accepted + 1, max(damping / 8.0, 1e-12)
-                noise = _noise(problem, q, order)
-                progress(f"step {accepted}: {size:.3g} deviations")
-            converged = size < 1e-2 or lower >= loss
+    """Levenberg-Marquardt from q, noise of this order of colour estimated anew after every step."""
+    accepted, converged, damping = 0, False, 1e-3
+    noise = _noise(problem, q, order)
+    while accepted < ITERATIONS and not converged:
+        loss = _loss(problem, q, noise)
+        normal, right, _ = _normal_equations(problem, q, noise)
+        scale = np.diag(np.diag(normal))
+        lower, size, trial = float("inf"), float("inf"), q
+        while lower >= loss and size > SMALL_STEP and damping < 1e12:
+            change = np.linalg.solve(normal + damping * scale, right)
+            # In units of what the data can tell.
+            size = float(np.sqrt(np.maximum(change @ normal @ change, 0.0)))
+            trial = _within_bounds(problem, q + change)
+            lower = _loss(problem, trial, noise)
+            damping *= 8.0
+        converged = size < SMALL_STEP or lower >= loss
+        if lower < loss:
+            q, accepted, damping = trial, accepted + 1, max(damping / 64.0, 1e-12)
+            noise = _noise(problem, q, order)
+            progress(f"step {accepted}: {size:.3g} deviations")
     return q, noise, accepted, converged
 
 
@@ -294,6 +345,7 @@ def _report(
     covariance: Array,
     iterations: int,
     converged: bool,
+    held: bool,
 ) -> Calibration:
     unknowns = problem.unknowns
     count = sum(unknown.recording is None for unknown in unknowns)
@@ -332,11 +384,23 @@ def _report(
         sd=sd,
         correlation=correlation,
         unidentified=unidentified,
+        confounded=_confounded(list(value), correlation, unidentified),
         residuals=tuple(residuals),
         noise_sd=tuple({c: size.marginal_sd for c, size in noise[k].items()} for k in firsts),
-        initial=tuple(points[k].start for k in firsts),
+        initial=tuple({name: float(x) for name, x in points[k].start.items()} for k in firsts),
         load_torque_Nm=tuple(points[k].load for k in firsts) if fitted_load else (),
         iterations=iterations,
         converged=converged,
+        held=held,
         file=problem.file.with_values({key: value[key] for key in known}, known),
+    )
+
+
+def _confounded(keys: list[str], correlation: Array, unidentified: Mapping[str, str]) -> tuple[str, ...]:
+    told = [k for k, key in enumerate(keys) if key not in unidentified]
+    return tuple(
+        f"{keys[a]} and {keys[b]}: these recordings tell them only together (correlation {correlation[a, b]:+.3f})"
+        for a in told
+        for b in told
+        if a < b and abs(correlation[a, b]) > CONFOUNDED
     )
