@@ -2,6 +2,7 @@
 where a row is asked for. The result of a row is the same to the last bit however the samples are cut into blocks."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,12 +72,10 @@ class Estimator:
             self.state.bank, gated.dt_s, sensor.features.drive(signals)
         )
         mismatch = self.state.mismatch
-        if rows is None:
-            chosen, features = np.arange(len(samples)), sensor.features.features(signals, filtered)
-        else:
-            chosen, features = rows, sensor.features.features(signals[rows], filtered[rows])
-        values, sigma, outside, disagree = self._evaluate(features, start + chosen)
-        quality = gated.quality[chosen]
+        chosen: NDArray[np.intp] | slice = slice(None) if rows is None else rows
+        features = sensor.features.features(signals[chosen], filtered[chosen])
+        values, sigma, outside, disagree = self._evaluate(features, start, rows)
+        quality = gated.quality[chosen].copy()
         mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
         mark(quality, ~(np.isfinite(values) & np.isfinite(sigma)).all(axis=1), Quality.NOT_FINITE)
         # Once two implementations have disagreed, neither is believed until the sensor is loaded again.
@@ -88,22 +87,29 @@ class Estimator:
         return Estimates(samples.time_ns[chosen], values, sigma, quality)
 
     def _evaluate(
-        self, features: Array, index: NDArray[np.intp]
+        self, features: Array, start: int, rows: NDArray[np.intp] | None
     ) -> tuple[Array, Array, NDArray[np.bool_], int | None]:
         """Values and sigmas (m, K), which rows are outside the envelope, and the first row where two backends differ.
 
-        Each row stands where its index since the start puts it in a block of 64; see `backend`.
+        `start` is the number of samples before this call. Each row stands where its index since the very first sample
+        puts it in a block of 64; see `backend`.
         """
         outputs = len(self.sensor.specification.outputs)
         if not len(features):
             return np.zeros((0, outputs)), np.zeros((0, outputs)), np.zeros(0, dtype=bool), None
-        number, place = index // BLOCK, index % BLOCK
-        if number[0] == number[-1]:
-            numbers, block = number[:1], np.zeros(len(number), dtype=np.intp)
+        if rows is None:
+            numbers = np.arange(start // BLOCK, (start + len(features) - 1) // BLOCK + 1)
+            place: Any = slice(start % BLOCK, start % BLOCK + len(features))
         else:
-            numbers, block = np.unique(number, return_inverse=True)
-        blocks = np.zeros((len(numbers), BLOCK, features.shape[1]))
-        blocks[block, place] = features
+            number, place = np.divmod(start + rows, BLOCK)
+            numbers = number[:1]
+            if number[-1] != number[0]:
+                new = np.diff(number, prepend=number[0] - 1) != 0
+                numbers = number[new]
+                place += (np.cumsum(new) - 1) * BLOCK
+        table = np.zeros((len(numbers) * BLOCK, features.shape[1]))
+        table[place] = features
+        blocks = table.reshape(len(numbers), BLOCK, -1)
         estimate, sigma = self.sensor.backend.evaluate(blocks)
         disagree = None
         checked = np.flatnonzero(numbers % _CHECK_EVERY == 0)
@@ -112,10 +118,10 @@ class Estimator:
             error = np.abs(second - estimate[checked]) / scales(self.sensor.specification)
             wrong = np.zeros(estimate.shape[:2], dtype=bool)
             wrong[checked] = ~(error <= _CHECK_TOLERANCE).all(axis=2)
-            at = np.flatnonzero(wrong[block, place])
+            at = np.flatnonzero(wrong.reshape(-1)[place])
             disagree = int(at[0]) if len(at) else None
-        values, deviations = estimate[block, place], sigma[block, place]
-        return values, deviations, self._outside(blocks)[block, place], disagree
+        values, deviations = estimate.reshape(-1, outputs)[place], sigma.reshape(-1, outputs)[place]
+        return values, deviations, self._outside(blocks).reshape(-1)[place], disagree
 
     def _outside(self, blocks: Array) -> NDArray[np.bool_]:
         envelope = self.sensor.specification.envelope
