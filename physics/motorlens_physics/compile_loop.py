@@ -213,6 +213,9 @@ def integrate(
                     after = torque(y, p, t, u, h, then) if then != 0.0 else 0.0
                     turn(after / torque(y, p, t, u, h, side), S, work[6])
             x[:] = y
+            if abs(x[SPEED]) < 1e-200:
+                # A free rotor coasts for ever; among denormal numbers no instant of zero speed can be located.
+                x[SPEED] = 0.0
             released = 0.0
             carry[SPEED] += 1.0
             # The last step of a sample ends exactly there.
