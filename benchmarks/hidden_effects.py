@@ -1,7 +1,7 @@
 """The blind benchmark of `motorlens diagnose`: recordings with a hidden effect, whose key is opened after the diagnosis.
 
     python benchmarks/hidden_effects.py seal                                   prints the hashes of the plans
-    python benchmarks/hidden_effects.py generate --split dev --n 400 -o DIR    recordings, and key.jsonl beside them
+    python benchmarks/hidden_effects.py generate --split dev --n 400 -o DIR    recordings, and the key in DIR/key
     python benchmarks/hidden_effects.py run --split dev --n 400 -o DIR         generates, diagnoses and deletes, resumable
     python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy (plain, weak), residual whiteness
     python benchmarks/hidden_effects.py score DIR                              opens the key, prints the rates
@@ -25,9 +25,10 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent / "tests"), str(HERE)]
+sys.path[:0] = [str(HERE.parent / "tests"), str(HERE / "hidden_effects")]
 
-from helpers.hidden import Case, draw, generate  # noqa: E402
+from helpers.hidden import Case, Generated, draw, generate, generate_again  # noqa: E402
+from helpers.hidden.motors import MOTORS  # noqa: E402
 from helpers.hidden.score import Row, failing, strata, summary  # noqa: E402
 
 SEALED = (("dev", 400, False), ("dev", 200, True), ("test", 1200, False), ("subset", 60, True))
@@ -70,14 +71,23 @@ def command(paths: Iterable[Path], motor: Path, answer: Path) -> list[str]:
     ]
 
 
+def prepared(case: Case, directory: Path, place: Path) -> Generated:
+    """The recordings of a case in `place`; its truth goes to (or comes from) `directory`/key, unread until `score`."""
+    key = directory / "key" / f"{case.id}.json"
+    if key.exists():
+        return generate_again(json.loads(key.read_text(encoding="utf-8")), place)
+    made = generate(case, place)
+    key.parent.mkdir(exist_ok=True)
+    key.write_text(json.dumps(made.truth), encoding="utf-8")
+    return made
+
+
 def one(case: Case, out: str, keep: bool, limit_s: float) -> dict[str, Any]:
-    """Generate a case, diagnose it, and return the answer; the truth goes to its own file, unread until `score`."""
+    """Generate a case, diagnose it as a user would, and return the answer."""
     directory = Path(out)
     with tempfile.TemporaryDirectory(prefix="hidden-") as scratch:
         place = directory / case.id if keep else Path(scratch)
-        made = generate(case, place)
-        (directory / "key").mkdir(exist_ok=True)
-        (directory / "key" / f"{case.id}.json").write_text(json.dumps(made.truth), encoding="utf-8")
+        made = prepared(case, directory, place)
         answer = place / "diagnosis.json"
         start = time.monotonic()
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -101,6 +111,39 @@ def _slim(answer: dict[str, Any]) -> dict[str, Any]:
     if isinstance(shape, dict):
         answer["unknown_shape"] = {key: value for key, value in shape.items() if not isinstance(value, list)}
     return answer
+
+
+def instead(case: Case, out: str) -> dict[str, Any]:
+    """What each of the usual methods says of a case."""
+    import baselines
+
+    directory = Path(out)
+    speed = MOTORS[case.motor].speed_rad_s
+    answers: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory(prefix="hidden-") as scratch:
+        paths = prepared(case, directory, Path(scratch)).recordings
+        for name, method in (
+            ("pysindy", lambda: baselines.sindy(paths, speed, weak=False)),
+            ("pysindy weak", lambda: baselines.sindy(paths, speed, weak=True)),
+            ("whiteness", lambda: baselines.whiteness(paths, speed)),
+        ):
+            start = time.monotonic()
+            answers[name] = {"answer": method(), "seconds": time.monotonic() - start}
+    return {"id": case.id, "answers": answers}
+
+
+def run_baselines(arguments: argparse.Namespace) -> None:
+    """The usual methods on the same recordings; answers are appended as they come."""
+    directory = Path(arguments.output)
+    file_name = directory / "baselines.jsonl"
+    directory.mkdir(parents=True, exist_ok=True)
+    done = {row["id"] for row in read_lines(file_name)}
+    cases = [case for case in chosen(arguments) if case.id not in done]
+    with file_name.open("a", encoding="utf-8") as file:
+        for number, row in enumerate(in_parallel(instead, cases, arguments.jobs, str(directory)), 1):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            print(f"{number}/{len(cases)} {row['id']}", file=sys.stderr)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -153,20 +196,31 @@ def chosen(arguments: argparse.Namespace) -> list[Case]:
     return cases[:: arguments.every]
 
 
-def opened(directory: Path, name: str = "answers.jsonl") -> list[Row]:
-    """Truth, answer and seconds of every case answered."""
-    rows = []
-    for answer in read_lines(directory / name):
-        truth = json.loads((directory / "key" / f"{answer['id']}.json").read_text(encoding="utf-8"))
-        rows.append((truth, answer["answer"], answer["seconds"]))
-    return rows
+def opened(directory: Path) -> dict[str, list[Row]]:
+    """Truth, answer and seconds of every case answered, by method."""
+
+    def truth(name: str) -> dict[str, Any]:
+        return dict(json.loads((directory / "key" / f"{name}.json").read_text(encoding="utf-8")))
+
+    methods: dict[str, list[Row]] = {"diagnose": []}
+    for row in read_lines(directory / "answers.jsonl"):
+        methods["diagnose"].append((truth(row["id"]), row["answer"], row["seconds"]))
+    for row in read_lines(directory / "baselines.jsonl"):
+        for name, told in row["answers"].items():
+            methods.setdefault(name, []).append((truth(row["id"]), told["answer"], told["seconds"]))
+    return methods
 
 
 def print_score(arguments: argparse.Namespace) -> None:
     """The table of rates, the strata, and what failed."""
     directory = Path(arguments.directory)
-    rows = opened(directory)
-    table(("what", "goal", "measured"), summary(rows))
+    methods = opened(directory)
+    rows = methods["diagnose"]
+    columns = [summary(own) for own in methods.values()]
+    table(
+        ("what", "goal", *methods),
+        ((*columns[0][k][:2], *(column[k][2] for column in columns)) for k in range(len(columns[0]))),
+    )
     if arguments.strata:
         table(("stratum", "wrong name", "false alarm", "detected", "right first", "in group"), strata(rows))
     if arguments.failures:
@@ -212,11 +266,9 @@ def make(arguments: argparse.Namespace) -> None:
     """Write recordings and the key."""
     directory = Path(arguments.output)
     directory.mkdir(parents=True, exist_ok=True)
-    with (directory / "key.jsonl").open("a", encoding="utf-8") as key:
-        for case in chosen(arguments):
-            made = generate(case, directory / case.id)
-            key.write(json.dumps({"id": case.id} | made.truth) + "\n")
-            print(case.id, *(path.name for path in made.recordings), file=sys.stderr)
+    for case in chosen(arguments):
+        made = prepared(case, directory, directory / case.id)
+        print(case.id, *(path.name for path in made.recordings), file=sys.stderr)
 
 
 def main() -> None:
@@ -254,6 +306,8 @@ def main() -> None:
         make(arguments)
     elif arguments.action == "run":
         run(arguments)
+    elif arguments.action == "baselines":
+        run_baselines(arguments)
     elif arguments.action == "score":
         print_score(arguments)
 

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from helpers.hidden import effects as hidden_effects
 from helpers.hidden import plant
-from helpers.hidden.information import Information, Judgement
+from helpers.hidden.information import POWER, Information, Judgement
 from helpers.hidden.plan import best, draw
 from helpers.hidden.world import (
     CHANNEL_SETS,
@@ -51,6 +51,9 @@ from helpers.hidden.world import (
     true_channels,
     write_csv,
 )
+
+# Rounds in which sizes are made consistent with what they are worth.
+_TRIALS = 5
 
 __all__ = ["Case", "Generated", "draw", "generate", "generate_again", "size_up"]
 
@@ -88,19 +91,22 @@ def _sizes(case: Case) -> tuple[list[Sized], list[Judgement], list[bool]]:
     wanted = [0.3 * entry.typical * entry.unit(motor) for entry in entries]
     judged: list[Judgement] = []
     testable = [True] * len(entries)
-    for trial in range(3):
+    for trial in range(_TRIALS):
         sized = [
             Sized(entry.name, entry.null + float(sign) * want, shaped(case, entry.name))
             for entry, sign, want in zip(entries, signs, wanted, strict=True)
         ]
         judged = [information.judge([effect], sized)[0] for effect in sized]
-        if trial == 2:
+        if trial == _TRIALS - 1:
             break
         for k, (entry, judgement) in enumerate(zip(entries, judged, strict=True)):
             want = case.hidden[k][1] * judgement.detectable
             largest = entry.largest * entry.unit(motor)
             testable[k] = bool(want <= largest)
             wanted[k] = min(want, largest) if np.isfinite(want) else largest
+    # An effect that is anything but linear may still be worth much less than its multiple says.
+    for k, judgement in enumerate(judged):
+        testable[k] &= judgement.energy >= (0.6 * case.hidden[k][1] * POWER) ** 2
     return sized, judged, testable
 
 

@@ -178,9 +178,6 @@ class _Half:
             drive=replace(drive, dt=drive.dt * self.stride, voltage=drive.voltage[cut], load=drive.load[cut]),
             disturbance=whole.disturbance[cut],
         )
-        self.steps = (
-            (2 if case.small else 1) if not record.slow else max(1, round(self.record.drive.dt / 0.5))
-        )
         self.fine = np.arange(0, self.keep - self.stride + 1) / self.stride
         self.plain = self._outputs([], textbook, self.record.start)
         self.rows = len(self.fine) * len(self.channels)
@@ -198,7 +195,7 @@ class _Half:
 
     def _outputs(self, hidden: list[Sized], textbook: dict[str, float], start: Array) -> dict[str, Array]:
         p, inputs = build(self.case, self._driven(hidden), textbook, hidden)
-        states = plant.simulate(self.record.drive.dt, inputs, start, p, self.steps)
+        states = plant.simulate(self.record.drive.dt, inputs, start, p, 1)
         channels = true_channels(self.case, self.record, states, inputs)
         for effect in hidden:
             channel, _, kind = effect.name.partition("_sensor_")
