@@ -1,0 +1,389 @@
+"""How far a motor file is from recordings, and where: by channel, equation, operating region, time scale and shaft angle.
+
+Nothing is fitted: the model runs freely from the first samples of each recording, driven by the measured voltage, load and
+ambient. Beside it each equation is driven by the measured others, low-passed so that no derivative is taken of noise:
+LP(torque) - J (w - LP(w)) / T is the torque that the mechanical equation lacks (Young 1981, doi:10.1016/0005-1098(81)90082-0).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.recording import Recording
+from motorlens_physics.scenario import TimeConstants, time_constants
+from motorlens_physics.simulation import Trajectory
+from motorlens_runtime.errors import DataError, ModelError
+from motorlens_workbench.fitting import start_model
+from motorlens_workbench.model import Model, inputs_of, predict
+from motorlens_workbench.run import STATE_OF, UNIT_OF, Run, prepare
+
+Array = NDArray[np.float64]
+
+EQUATIONS = {"electrical": "V", "mechanical": "N*m", "thermal": "W"}
+# Cells of the map of speed and current, in each direction; cells with fewer samples say nothing.
+CELLS, FEWEST = 6, 20
+# Share of the top speed below which the rotor counts as near standstill.
+STANDSTILL = 0.02
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """One recording and the model's free run on it. `predicted`, `noise` in the order of `run.channels`; shapes (N, C), (C,)."""
+
+    run: Run
+    trajectory: Trajectory
+    predicted: Array
+    noise: Array
+    missing: Mapping[str, Array]  # equation -> (N,) what it lacks, in the unit of `EQUATIONS`
+
+    @property
+    def error(self) -> Array:
+        """(N, C) measured less predicted; 0 where nothing was measured."""
+        return np.where(self.run.valid[:, None], self.run.measured - self.predicted, 0.0)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Error of one channel over all recordings that hold it, in `unit`; `fit_percent` is 100 (1 - rmse / spread)."""
+
+    unit: str
+    rmse: float
+    fit_percent: float
+    bias: float
+    largest: float
+    noise_floor: float
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One balance driven by the measured others: what it lacks (rms, in `unit`), and its share of all that is lacking."""
+
+    unit: str
+    rms: float
+    share: float
+    testable: bool
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the operating range: which, how many samples, error in standard deviations of the noise."""
+
+    within: Mapping[str, tuple[float, float]]
+    rms_in_sigma: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All that `motorlens compare` found."""
+
+    file: MotorFile
+    overlays: tuple[Overlay, ...]
+    channels: Mapping[str, Channel]
+    equations: Mapping[str, Equation]
+    map: tuple[Region, ...]  # speed by current
+    regions: Mapping[str, Region]  # in words: "forwards", "near standstill", "warmest third", ...
+    bands: Mapping[str, Mapping[str, float]]  # channel -> time scale -> share of the error's power
+    orders: tuple[
+        tuple[float, float], ...
+    ]  # (order of the shaft, amplitude in rad/s) of the speed error, strongest first
+
+
+def compare(file: MotorFile, recordings: Sequence[Recording]) -> Comparison:
+    """Run the model beside recordings and say where they part.
+
+    Raises:
+        DataError: a recording holds no measured output, or is too short.
+        ModelError: the model cannot be simulated on one of them; the message says which.
+    """
+    runs = tuple(prepare(recording, file) for recording in recordings)
+    model = start_model(file, runs)
+    overlays = tuple(_overlay(model, run, r) for r, run in enumerate(runs))
+    return Comparison(
+        file,
+        overlays,
+        {c: _channel(c, overlays) for c in STATE_OF if any(c in run.channels for run in runs)},
+        _equations(file, overlays),
+        _map(overlays),
+        _regions(overlays),
+        {
+            c: _bands(c, overlays, time_constants(file.motor))
+            for c in STATE_OF
+            if any(c in run.channels for run in runs)
+        },
+        _orders(overlays),
+    )
+
+
+def noise_floor(error: Array) -> float:
+    """Standard deviation of white noise in a signal whose other content is slow, from its second differences, robustly."""
+    if len(error) < 5:
+        return 0.0
+    bent = np.diff(error, 2)
+    spread = float(np.median(np.abs(bent))) / 0.6745 / np.sqrt(6)
+    # A signal that mostly rests (quantised coarsely) has a median of 0: then its rare steps count.
+    return spread or float(np.sqrt(np.mean(bent**2) / 6))
+
+
+def lowpass(y: Array, time_s: Array, tau_s: float) -> Array:
+    """First-order low-pass of (N,) samples that run linearly in between, exact for uneven spacing; starts at y[0]."""
+    out = np.empty_like(y)
+    out[0] = y[0]
+    dt = np.diff(time_s)
+    keep = np.exp(-dt / tau_s)
+    slope = np.diff(y) / dt
+    # Exact for a ramp: s' = (y1 - slope tau) + (s - y0 + slope tau) keep.
+    for k in range(len(dt)):
+        out[k + 1] = y[k + 1] - slope[k] * tau_s + (out[k] - y[k] + slope[k] * tau_s) * keep[k]
+    return out
+
+
+def _overlay(model: Model, run: Run, r: int) -> Overlay:
+    try:
+        trajectory, predicted = predict(model, run, r)
+    except ModelError as error:
+        raise ModelError(f"{run.name}: the model cannot follow this recording: {error}") from None
+    errors = run.measured - predicted
+    fine = run.floor * np.sqrt(run.every)
+    noise = np.array([max(noise_floor(errors[run.valid, k]), fine[k]) for k in range(len(run.channels))])
+    return Overlay(run, trajectory, predicted, noise, _missing(model, run, r, trajectory))
+
+
+def _missing(model: Model, run: Run, r: int, trajectory: Trajectory) -> dict[str, Array]:
+    """What each equation lacks, (N,), with measured states wherever there are some and simulated ones elsewhere."""
+    motor, inputs = model.file.motor, inputs_of(model, run, r)
+    states = dict(trajectory.states)
+    for k, channel in enumerate(run.channels):
+        shift = inputs.ambient_C if channel == "temperature" else 0.0
+        states[STATE_OF[channel]] = run.measured[:, k] - shift
+    x = SimpleNamespace(**states)
+    u = SimpleNamespace(
+        v=inputs.voltage_V, load=inputs.load_torque_Nm, ambient=inputs.ambient_C, t=inputs.time_s
+    )
+    pace = time_constants(motor)
+    masses = (motor.L, motor.J, motor.H)
+    reach = filter_times(run, pace)
+    missing = {}
+    for name, balance, mass, state in zip(
+        EQUATIONS, motor.balances(x, u), masses, STATE_OF.values(), strict=True
+    ):
+        tau = reach[name]
+        smooth = lowpass(
+            np.broadcast_to(balance, run.inputs.time_s.shape).astype(np.float64), inputs.time_s, tau
+        )
+        rate = (states[state] - lowpass(states[state], inputs.time_s, tau)) / tau
+        missing[name] = mass * rate - smooth
+    return missing
+
+
+def filter_times(run: Run, pace: TimeConstants) -> dict[str, float]:
+    """Time constant of the low-pass in each equation, s: some samples, or the equation's own pace if that is slower."""
+    few = 4 * run.period_s
+    return {
+        "electrical": max(few, pace.electrical_s),
+        "mechanical": max(few, 0.3 * pace.mechanical_s),
+        "thermal": max(few, 0.02 * pace.thermal_s),
+    }
+
+
+def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:
+    holding = [(o, o.run.channels.index(channel)) for o in overlays if channel in o.run.channels]
+    error = np.concatenate([o.error[o.run.valid, k] for o, k in holding])
+    measured = np.concatenate([o.run.measured[o.run.valid, k] for o, k in holding])
+    if not len(error):
+        raise DataError(f"{holding[0][0].run.name}: no row holds all measured outputs")
+    rmse = float(np.sqrt(np.mean(error**2)))
+    spread = float(np.std(measured))
+    floor = float(np.sqrt(np.mean([o.noise[k] ** 2 for o, k in holding])))
+    fit = 100 * (1 - rmse / spread) if spread > 0 else 0.0
+    return Channel(UNIT_OF[channel], rmse, fit, float(np.mean(error)), float(np.abs(error).max()), floor)
+
+
+def _equations(file: MotorFile, overlays: Sequence[Overlay]) -> dict[str, Equation]:
+    excess, rms = {}, {}
+    for name in EQUATIONS:
+        lacking = np.concatenate([o.missing[name] for o in overlays])
+        rms[name] = float(np.sqrt(np.mean(lacking**2)))
+        expected = np.concatenate(
+            [np.full(len(o.run.measured), _expected(file, o, name) ** 2) for o in overlays]
+        )
+        excess[name] = max(float(np.mean(lacking**2 / expected)) - 1, 0.0)
+    reasons = {name: _untestable(name, overlays) for name in EQUATIONS}
+    whole = sum(excess[name] for name in EQUATIONS if not reasons[name])
+    return {
+        name: Equation(
+            unit,
+            rms[name],
+            excess[name] / whole if whole > 0 and not reasons[name] else 0.0,
+            not reasons[name],
+            reasons[name],
+        )
+        for name, unit in EQUATIONS.items()
+    }
+
+
+def _untestable(name: str, overlays: Sequence[Overlay]) -> str:
+    """Why an equation cannot be tested on its own; empty if it can."""
+    channels = {channel for o in overlays for channel in o.run.channels}
+    needed = {
+        "electrical": ("current", "speed"),
+        "mechanical": ("current", "speed"),
+        "thermal": ("temperature",),
+    }[name]
+    absent = [channel for channel in needed if channel not in channels]
+    if absent:
+        return f"{' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} not measured"
+    if name == "thermal" and not channels & {"current"}:
+        return "current is not measured"
+    return ""
+
+
+def _expected(file: MotorFile, overlay: Overlay, name: str) -> float:
+    """Standard deviation that noise alone gives what an equation lacks, in its unit."""
+    motor, run = file.motor, overlay.run
+    noise = {channel: float(overlay.noise[k]) for k, channel in enumerate(run.channels)}
+    i, w, theta = noise.get("current", 0.0), noise.get("speed", 0.0), noise.get("temperature", 0.0)
+    tau = filter_times(run, time_constants(motor))[name]
+    smoothing = np.sqrt(run.period_s / (2 * tau))
+    inputs = run.inputs
+    v, load = noise_floor(inputs.voltage_V), noise_floor(inputs.load_torque_Nm)
+    current = float(np.sqrt(np.mean(overlay.trajectory.current_A**2)))
+    terms = {
+        "electrical": (
+            motor.L * i / tau,
+            smoothing * np.sqrt(v**2 + (motor.R_a0 * i) ** 2 + (motor.ke * w) ** 2),
+        ),
+        "mechanical": (
+            motor.J * w / tau,
+            smoothing * np.sqrt(load**2 + (motor.ke * i) ** 2 + (motor.b * w) ** 2),
+        ),
+        "thermal": (
+            motor.H * theta / tau,
+            smoothing * np.hypot(motor.k0 * theta, 2 * motor.R_a0 * current * i),
+        ),
+    }[name]
+    # A thousandth of what the equation carries is as well as any equation is ever known.
+    carried = {
+        "electrical": file.rated.voltage_V,
+        "mechanical": file.rated.torque_Nm,
+        "thermal": motor.k0 * file.rated.rise_K,
+    }[name]
+    return float(np.sqrt(terms[0] ** 2 + terms[1] ** 2 + (1e-3 * carried) ** 2))
+
+
+def _in_sigma(overlay: Overlay) -> Array:
+    """(N,) error of a sample in standard deviations of the noise, over its channels."""
+    return np.asarray(np.sqrt(np.mean((overlay.error / overlay.noise) ** 2, axis=1)))
+
+
+def _state(overlay: Overlay, channel: str) -> Array:
+    """(N,) a measured output, or the simulated one where it was not measured."""
+    run = overlay.run
+    if channel in run.channels:
+        return run.measured[:, run.channels.index(channel)]
+    simulated = overlay.trajectory.states[STATE_OF[channel]]
+    return simulated + overlay.trajectory.inputs.ambient_C if channel == "temperature" else simulated
+
+
+def _pooled(overlays: Sequence[Overlay], channel: str) -> Array:
+    return np.concatenate([_state(o, channel)[o.run.valid] for o in overlays])
+
+
+def _map(overlays: Sequence[Overlay]) -> tuple[Region, ...]:
+    error = np.concatenate([_in_sigma(o)[o.run.valid] for o in overlays])
+    speed, current = _pooled(overlays, "speed"), _pooled(overlays, "current")
+    edges = [np.linspace(*np.percentile(y, (0, 100)), CELLS + 1) for y in (speed, current)]
+    at = [
+        np.clip(np.searchsorted(e, y, side="right") - 1, 0, CELLS - 1)
+        for e, y in zip(edges, (speed, current), strict=True)
+    ]
+    found = []
+    for row in range(CELLS):
+        for column in range(CELLS):
+            inside = (at[0] == row) & (at[1] == column)
+            if inside.sum() >= FEWEST:
+                within = {"speed": _span(edges[0], row), "current": _span(edges[1], column)}
+                found.append(_region(within, error[inside]))
+    return tuple(found)
+
+
+def _span(edges: Array, k: int) -> tuple[float, float]:
+    return float(edges[k]), float(edges[k + 1])
+
+
+def _region(within: Mapping[str, tuple[float, float]], error: Array) -> Region:
+    return Region(within, float(np.sqrt(np.mean(error**2))), len(error))
+
+
+def _regions(overlays: Sequence[Overlay]) -> dict[str, Region]:
+    error = np.concatenate([_in_sigma(o)[o.run.valid] for o in overlays])
+    speed, temperature = _pooled(overlays, "speed"), _pooled(overlays, "temperature")
+    slow = STANDSTILL * float(np.abs(speed).max())
+    third, two_thirds = np.percentile(temperature, (33.3, 66.7))
+    low, high = float(temperature.min()), float(temperature.max())
+    named = {
+        "forwards": ({"speed": (slow, float(speed.max()))}, speed > slow),
+        "backwards": ({"speed": (float(speed.min()), -slow)}, speed < -slow),
+        "near standstill": ({"speed": (-slow, slow)}, np.abs(speed) <= slow),
+        "coldest third": ({"temperature": (low, float(third))}, temperature <= third),
+        "warmest third": ({"temperature": (float(two_thirds), high)}, temperature >= two_thirds),
+    }
+    return {
+        name: _region(within, error[rows]) for name, (within, rows) in named.items() if rows.sum() >= FEWEST
+    }
+
+
+def _bands(channel: str, overlays: Sequence[Overlay], pace: TimeConstants) -> dict[str, float]:
+    """Share of the error's power by time scale; the borders are the geometric means between the motor's time constants."""
+    borders = (
+        1 / (2 * np.pi * np.sqrt(pace.mechanical_s * pace.thermal_s)),
+        1 / (2 * np.pi * np.sqrt(pace.electrical_s * pace.mechanical_s)),
+    )
+    power = {"thermal": 0.0, "mechanical": 0.0, "electrical": 0.0}
+    for o in overlays:
+        if channel not in o.run.channels:
+            continue
+        frequency, density = spectrum(o, channel)
+        band = np.searchsorted(borders, frequency)
+        for k, name in enumerate(power):
+            power[name] += float(density[band == k].sum())
+    whole = sum(power.values())
+    return {name: value / whole if whole > 0 else 0.0 for name, value in power.items()}
+
+
+def spectrum(overlay: Overlay, channel: str) -> tuple[Array, Array]:
+    """Frequencies (Hz) and power (unit^2, one-sided, sums to the mean square) of a channel's error, evenly resampled."""
+    run = overlay.run
+    time = run.inputs.time_s
+    even = np.linspace(time[0], time[-1], len(time))
+    error = np.interp(even, time, overlay.error[:, run.channels.index(channel)])
+    power = np.abs(np.fft.rfft(error)) ** 2 / len(error) ** 2
+    power[1 : -1 if len(error) % 2 == 0 else None] *= 2
+    return np.fft.rfftfreq(len(error), even[1] - even[0]), power
+
+
+def _orders(
+    overlays: Sequence[Overlay], highest: int = 60, fewest_turns: float = 3.0
+) -> tuple[tuple[float, float], ...]:
+    """The strongest whole orders of the shaft in the speed error, where the shaft's angle was measured."""
+    found = np.zeros(highest)
+    counted = 0
+    for o in overlays:
+        angle = o.run.angle
+        if angle is None or "speed" not in o.run.channels:
+            continue
+        if abs(angle[-1] - angle[0]) < 2 * np.pi * fewest_turns:
+            continue
+        error = o.error[:, o.run.channels.index("speed")]
+        waves = np.exp(-1j * np.outer(np.arange(1, highest + 1), angle))
+        found += np.abs(waves @ error) * 2 / len(error)
+        counted += 1
+    if not counted:
+        return ()
+    strongest = np.argsort(-found)[:3]
+    return tuple((float(k + 1), float(found[k] / counted)) for k in strongest)
