@@ -95,11 +95,19 @@ def test_noise_is_found_and_the_function_recovered() -> None:
     assert 0.001 < np.sqrt((error**2).mean()) < 0.02
 
 
-def test_gamma_settles_while_the_network_grows() -> None:
-    """Foresee and Hagan 1997, section 5: beyond a sufficient size the effective number of parameters stays."""
-    small, large = (train(wave(400, 0.2), Architecture(2, (width,), 2), 1) for width in (12, 24))
-    assert large.network.architecture.parameters > 1.9 * small.network.architecture.parameters
-    assert 0.75 < float(large.evidence.gamma.sum() / small.evidence.gamma.sum()) < 1.25
+def test_evidence_prefers_the_network_that_suffices() -> None:
+    """Occam's razor (MacKay 1992, section 4): beyond a sufficient size gamma grows less than the weights, evidence falls."""
+    data = wave(400, 0.2)
+    runs = {
+        width: [train(data, Architecture(2, (width,), 2), seed) for seed in range(3)] for width in (1, 6, 24)
+    }
+    best = {width: max(found, key=lambda t: t.evidence.log_evidence) for width, found in runs.items()}
+    assert best[6].evidence.log_evidence > best[24].evidence.log_evidence + 10
+    assert best[6].evidence.log_evidence > best[1].evidence.log_evidence + 10
+    share = {
+        width: float(t.evidence.gamma.sum()) / t.network.architecture.parameters for width, t in best.items()
+    }
+    assert 0.2 < share[24] < 0.75 * share[6] < 0.75
 
 
 def test_score_autocorrelation_of_a_constant_model_is_that_of_its_errors() -> None:

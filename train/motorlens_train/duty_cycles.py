@@ -1,7 +1,9 @@
 """Duty cycles for training: a motor through random voltage, load, ambient and start temperature, hot restarts included.
 
-What the sensor sees is voltage and current with white Gaussian noise; the targets are true. One cycle in six starts while
-the motor already runs, as a sensor switched on late would meet it.
+What the sensor sees is voltage and current with white Gaussian noise; the targets are true. Most cycles start from
+ambient temperature; some start warm from a run that the sensor has not seen, and some while the motor already runs, as a
+sensor switched on late would meet it. How many is the prior that the network learns: it cannot tell a warm start from a
+cold one at once, so an estimate in the first minutes lies between the two by these shares.
 """
 
 from collections.abc import Callable
@@ -14,6 +16,8 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import Phase, Plan, Scenario, grid, perform, steps, time_constants
 from motorlens_physics.simulation import Inputs
 from motorlens_train.specification import Array
+
+WARM_SHARE, LATE_SHARE = 0.12, 0.08
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class TrainingDuty(Scenario):
         if rng.random() < 0.2:
             loads[:] = loads[0]
         ambient = rng.uniform(0.0, 40.0)
-        warm = rng.uniform(0.0, 1.2 * plate.rise_K) if rng.random() < 0.5 else 0.0
+        warm = rng.uniform(0.0, 1.2 * plate.rise_K) if rng.random() < WARM_SHARE else 0.0
         inputs = Inputs(
             time, steps(time, at, levels), steps(time, load_at, loads), np.full_like(time, ambient), held=True
         )
@@ -62,10 +66,10 @@ def duty_cycle(
     Long cycles are sampled more slowly than `rate_Hz`, to at most a million rows and down to a quarter of the rate.
     """
     pace = time_constants(file.motor)
-    duration = float(np.exp(rng.uniform(np.log(200 * pace.mechanical_s), np.log(longest_s))))
+    duration = float(np.exp(rng.uniform(np.log(1000 * pace.mechanical_s), np.log(longest_s))))
     rate = float(np.clip(1e6 / duration, rate_Hz / 4, rate_Hz))
     truth = perform(file, TrainingDuty(duration, 1 / rate), rng)
-    if rng.random() < 1 / 6:
+    if rng.random() < LATE_SHARE:
         truth = truth.part(slice(int(rng.uniform(0.1, 0.6) * len(truth)), None))
         truth = replace(truth, time_s=truth.time_s - truth.time_s[0])
     return with_noise(truth, noise, rng)
