@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from motorlens_train.calibration import noise_head
 from motorlens_train.cascade import Architecture
 from motorlens_train.data import Cycle, arrays, errors, scale_of
 from motorlens_train.features import feature_rows
+from motorlens_train.observer_frame import Frame
 from motorlens_train.posterior import LastLayer
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Array, Bank, Envelope, Rate, Specification
@@ -87,15 +88,21 @@ def build(
         report: called after every iteration.
         checkpoint: see `motorlens_train.trainer.train`.
     """
-    trained = train(
-        arrays(training),
+    frame = Frame.of(recipe.bank, recipe.outputs) if recipe.bank.observer else None
+    fitted = [frame.relative(c) if frame else c for c in training]
+    found = train(
+        arrays(fitted),
         recipe.architecture,
         recipe.seed,
         recipe.settings,
         report=report,
         checkpoint=checkpoint,
     )
-    posterior = LastLayer.of(trained, DIRECTIONS)
+    # The file holds float32 numbers; the sensor is what the file holds.
+    network = replace(found.network, hidden=_single(found.network.hidden), output=_single(found.network.output))
+    trained = replace(found, network=network)
+    exact = LastLayer.of(trained, DIRECTIONS)
+    posterior = LastLayer(_single(exact.basis), _single(exact.variances))
     specification = Specification(
         scale_of(training, recipe.outputs), recipe.bank, recipe.rate, recipe.warm_up_s, envelope(training)
     )
@@ -105,13 +112,14 @@ def build(
         torch.zeros(len(recipe.outputs), width, dtype=torch.float64),
     )  # fmt: skip
     if calibration:
+        calibration = [frame.relative(c) if frame else c for c in calibration]
         read = [silent.read(c.x) for c in calibration]
         off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
         head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
     else:
         head = np.zeros((len(recipe.outputs), width))
         head[:, 0] = np.log(
-            _crossed_errors(recipe, training) / trained.targets.deviation.numpy() ** 2 + 1e-10
+            _crossed_errors(recipe, fitted) / trained.targets.deviation.numpy() ** 2 + 1e-10
         )
     sensor = Sensor(
         recipe.name,
@@ -120,7 +128,8 @@ def build(
         trained.inputs,
         trained.targets,
         posterior,
-        torch.from_numpy(head),
+        _single(torch.from_numpy(head)),
+        frame,
     )
     return Built(sensor, trained, _card(recipe, sensor, trained, training, unseen))
 
@@ -231,6 +240,10 @@ def _card(
         "unseen": measured(sensor, unseen) if unseen else {},
         "training": measured(sensor, training),
     }
+
+
+def _single(values: torch.Tensor) -> torch.Tensor:
+    return values.float().double()
 
 
 def _short(value: float, digits: int = 4) -> float:

@@ -1,7 +1,8 @@
-"""Writing a sensor: one specification becomes a core graph and a step graph, byte for byte the same each time.
+"""Writing a sensor: one specification becomes a core graph and a step graph, byte for byte the same each
+time.
 
-The graphs are written node by node (no tracing, no torch), so that they hold nothing but the sensor. docs/sensor-file.md is
-the contract with the runtime.
+The graphs are written node by node (no tracing, no torch), so that they hold nothing but the sensor.
+docs/sensor-file.md is the contract with the runtime.
 """
 
 import hashlib
@@ -17,20 +18,22 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from motorlens_train.features import wiring
+from motorlens_train.observer_onnx import observer_nodes
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Bank
 
 OPSET, IR_VERSION = 17, 8
 SEAL = "motorlens.sha256"
-# exp() of the noise head is kept within this range of scaled variances, so that no input makes sigma overflow.
+# exp() of the noise head is kept within this range of scaled variances, so that no input makes sigma
+# overflow.
 LOG_VARIANCE_RANGE = (-25.0, 10.0)
 
 Numbers = NDArray[Any]
 
 
-def core_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False) -> bytes:
-    """The core graph: `features [N, F] -> estimate [N, K], sigma [N, K]`, float64 at the border; all of it if `double`."""
-    graph = _Graph(np.float64 if double else np.float32)
+def core_graph(sensor: Sensor, metadata: Mapping[str, str]) -> bytes:
+    """The core graph: `features [N, F] -> estimate [N, K], sigma [N, K]`, all float64."""
+    graph = _Graph()
     estimate, sigma = _network(graph, sensor, "features")
     graph.add("Identity", [estimate], "estimate")
     graph.add("Identity", [sigma], "sigma")
@@ -43,9 +46,9 @@ def core_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False
     )
 
 
-def step_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False) -> bytes:
-    """The step graph: `(voltage, current, [ambient,] dt, state) -> (estimate, sigma, next_state)`, float64 at the border."""
-    graph = _Graph(np.float64 if double else np.float32)
+def step_graph(sensor: Sensor, metadata: Mapping[str, str]) -> bytes:
+    """The step graph: `(voltage, current, [ambient,] dt, state) -> (estimate, sigma, next_state)`, all float64."""
+    graph = _Graph()
     bank = sensor.bank
     stack = graph.add("Concat", [_signal(graph, name, bank) for name in bank.signals], axis=0)
     drive = graph.add(
@@ -54,23 +57,33 @@ def step_graph(sensor: Sensor, metadata: Mapping[str, str], double: bool = False
     decay = graph.add(
         "Exp", [graph.add("Div", [graph.add("Neg", ["dt"]), graph.exact([f.tau_s for f in bank.filters])])]
     )
-    kept = graph.add("Mul", [graph.add("Sub", ["state", drive]), decay])
-    state = graph.add("Add", [drive, kept], "next_state")
-    everything = graph.add("Concat", [stack, state, graph.exact([0.0])], axis=0)
+    filters, size = len(bank.filters), bank.observer.size if bank.observer else 0
+    filtered, observed = ["state", ""]
+    if bank.observer:
+        filtered, observed = graph.split("state", [filters, size])
+    kept = graph.add("Mul", [graph.add("Sub", [filtered, drive]), decay])
+    state = graph.add("Add", [drive, kept], "" if bank.observer else "next_state")
+    parts = [stack, state, graph.exact([0.0])]
+    if bank.observer:
+        ambient = "ambient" if bank.ambient else graph.exact([bank.observer.ambient_C])
+        outputs_seen, after = observer_nodes(graph, bank.observer, "voltage", "current", ambient, "dt", observed)
+        graph.add("Concat", [state, after], "next_state", axis=0)
+        parts.append(outputs_seen)
+    everything = graph.add("Concat", parts, axis=0)
     plus, minus = (graph.add("Gather", [everything, graph.whole(index)], axis=0) for index in wiring(bank))
     features = graph.add("Sub", [plus, minus])
     estimate, sigma = _network(graph, sensor, graph.add("Unsqueeze", [features, graph.whole([0])]))
     for name, value in (("estimate", estimate), ("sigma", sigma)):
         graph.add("Squeeze", [value, graph.whole([0])], name)
     inputs = ["voltage", "current", *(["ambient"] if bank.ambient else []), "dt"]
-    filters, outputs = len(bank.filters), len(sensor.specification.outputs)
+    outputs = len(sensor.specification.outputs)
     return graph.model(
         sensor.name + ".step",
-        [*((name, np.float64, [1]) for name in inputs), ("state", np.float64, [filters])],
+        [*((name, np.float64, [1]) for name in inputs), ("state", np.float64, [filters + size])],
         [
             ("estimate", np.float64, [outputs]),
             ("sigma", np.float64, [outputs]),
-            ("next_state", np.float64, [filters]),
+            ("next_state", np.float64, [filters + size]),
         ],
         metadata,
     )
@@ -136,10 +149,10 @@ def _signal(graph: "_Graph", name: str, bank: Bank) -> str:
 def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
     """Scaling, layers, output, standard deviation; `features` is `[N, F]` float64. Returns estimate and sigma."""
     network, architecture = sensor.network, sensor.network.architecture
-    # Whitening takes small differences of large features, so it is done in float64; the network then needs float32 only.
+    # Whitening takes small differences of large features, so all is computed in float64; weights are float32
+    # numbers.
     centred = graph.add("Sub", [features, graph.exact(sensor.inputs.mean)])
-    matrix = graph.add("Cast", [graph.single(sensor.inputs.matrix)], to=TensorProto.DOUBLE)
-    known = [graph.add("Cast", [graph.add("MatMul", [centred, matrix])], to=graph.type)]
+    known = [graph.add("MatMul", [centred, graph.weights(sensor.inputs.matrix)])]
     first = 0
     for layer, width in enumerate(architecture.hidden):
         reads = len(architecture.reads(layer))
@@ -149,18 +162,22 @@ def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
         known.append(graph.add(architecture.function.onnx, [net]))
     read = _read(graph, known, architecture.skips)
     scaled = graph.affine(read, network.output.T)
-    deviation = graph.real(sensor.targets.deviation)
-    estimate = graph.add("Add", [graph.add("Mul", [scaled, deviation]), graph.real(sensor.targets.mean)])
+    deviation = graph.exact(sensor.targets.deviation)
+    estimate = graph.add("Add", [graph.add("Mul", [scaled, deviation]), graph.exact(sensor.targets.mean)])
     along = graph.affine(read, sensor.posterior.basis)
     function = graph.add(
-        "MatMul", [graph.add("Mul", [along, along]), graph.real(sensor.posterior.variances.T)]
+        "MatMul", [graph.add("Mul", [along, along]), graph.weights(sensor.posterior.variances.T)]
     )
-    limits = [graph.real(np.array(limit)) for limit in LOG_VARIANCE_RANGE]
+    limits = [graph.exact(np.array(limit)) for limit in LOG_VARIANCE_RANGE]
     noise = graph.add("Exp", [graph.add("Clip", [graph.affine(read, sensor.noise.T), *limits])])
     sigma = graph.add("Mul", [graph.add("Sqrt", [graph.add("Add", [function, noise])]), deviation])
-    return graph.add("Cast", [estimate], to=TensorProto.DOUBLE), graph.add(
-        "Cast", [sigma], to=TensorProto.DOUBLE
-    )
+    if sensor.frame is None:
+        return estimate, sigma
+    base, spread = sensor.frame.selection(len(sensor.bank.features))
+    start = graph.add("MatMul", [features, graph.exact(base)])
+    deviation = graph.add("Exp", [graph.add("MatMul", [features, graph.exact(spread)])])
+    estimate = graph.add("Add", [start, graph.add("Mul", [deviation, estimate])])
+    return estimate, graph.add("Mul", [deviation, sigma])
 
 
 def _read(graph: "_Graph", known: Sequence[str], skips: bool) -> str:
@@ -174,29 +191,36 @@ def _read(graph: "_Graph", known: Sequence[str], skips: bool) -> str:
 class _Graph:
     """A graph under construction; names are numbers in order of use, so that bytes are stable."""
 
-    kind: type[np.floating[Any]]
     nodes: list[Any] = field(default_factory=list)
     constants: list[Any] = field(default_factory=list)
-
-    @property
-    def type(self) -> int:
-        return int(helper.np_dtype_to_tensor_dtype(np.dtype(self.kind)))
+    named: int = 0
 
     def add(self, operator: str, inputs: Sequence[str], output: str = "", **attributes: Any) -> str:
-        name = output or f"t{len(self.nodes)}"
+        name = output or f"t{self.named}"
+        self.named += not output
         self.nodes.append(helper.make_node(operator, list(inputs), [name], **attributes))
         return name
+
+    def split(self, vector: str, sizes: Sequence[int]) -> list[str]:
+        """Consecutive pieces of a vector."""
+        names = [f"{vector}_{k}" for k in range(len(sizes))]
+        self.nodes.append(helper.make_node("Split", [vector, self.whole(list(sizes))], names, axis=0))
+        return names
 
     def affine(self, read: str, weight: Any) -> str:
         """`read @ weight[1:] + weight[0]`: row 0 belongs to the constant."""
         matrix = np.asarray(weight)
-        return self.add("Add", [self.add("MatMul", [read, self.real(matrix[1:])]), self.real(matrix[0])])
+        return self.add(
+            "Add", [self.add("MatMul", [read, self.weights(matrix[1:])]), self.weights(matrix[0])]
+        )
 
-    def real(self, values: Any) -> str:
-        return self._constant(np.ascontiguousarray(np.asarray(values, dtype=self.kind)))
-
-    def single(self, values: Any) -> str:
-        return self._constant(np.ascontiguousarray(np.asarray(values, dtype=np.float32)))
+    def weights(self, values: Any) -> str:
+        """Numbers that are float32 already, kept as such and computed with as float64."""
+        return self.add(
+            "Cast",
+            [self._constant(np.ascontiguousarray(np.asarray(values, dtype=np.float32)))],
+            to=TensorProto.DOUBLE,
+        )
 
     def exact(self, values: Any) -> str:
         return self._constant(np.ascontiguousarray(np.asarray(values, dtype=np.float64)))

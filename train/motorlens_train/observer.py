@@ -29,6 +29,9 @@ from motorlens_train.observer_program import Program, Recorder, Value, record
 from motorlens_train.specification import Bank, Feature
 
 
+FLOOR = 1e-3
+
+
 @dataclass(frozen=True)
 class ObserverSettings:
     """What the observer assumes; None is taken from the motor file.
@@ -54,7 +57,7 @@ class ObserverSettings:
     load_jump: float = 0.7
     thermal_walk: float = 0.0
     model_sd: float = 2e-4
-    bend_sd: float = 0.2
+    bend_sd: float = 1.0
     rise_K: float | None = None
     rise_sd_K: float | None = None
     alarm: float = 12.0
@@ -133,7 +136,7 @@ class _Design:
         r, n = Recorder(), len(self.states)
         ambient = r.input("ambient")
         window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
-        drift, restless = r.inputs(MEMORY)
+        drift, trend, restless = r.inputs(MEMORY)
         x, P = self._unpack(r)
         T = window["time"]
         V, plain = window["sum_voltage"] / T, window["sum_current"] / T
@@ -156,7 +159,11 @@ class _Design:
         rated, motor, settings = self.rated, self.motor, self.settings
         warming = motor.k0 * (1 + motor.kT * rated.speed_rad_s) * rated.rise_K / motor.H
         unseen = gap.select((T * T * warming**2).min(self.sd[theta] ** 2), 0.0)
-        P[w][w] = P[w][w] + steps * (motor.ke * self.i_sd / motor.J) ** 2 + (1e-5 * rated.speed_rad_s) ** 2
+        bend = (I - plain) * settings.bend_sd
+        shaken = bend * T * (motor.ke / motor.J)
+        P[w][w] = (
+            P[w][w] + steps * (motor.ke * self.i_sd / motor.J) ** 2 + shaken * shaken + (1e-5 * rated.speed_rad_s) ** 2
+        )
         P[theta][theta] = P[theta][theta] + T * settings.thermal_walk**2 + unseen
         P[load][load] = P[load][load] + T * (settings.load_walk * rated.torque_Nm) ** 2
 
@@ -177,7 +184,7 @@ class _Design:
         noise = (
             (steps * (self.v_sd**2) + window["sum_changes"]) / (T * T) + R * R * steps * self.i_sd**2 / (T * T)
             + (2 * (motor.L * self.i_sd) ** 2) / (T * T) + (settings.model_sd * rated.voltage_V) ** 2
-            + (R * (I - plain) * settings.bend_sd) * (R * (I - plain) * settings.bend_sd)
+            + R * bend * R * bend
             + (sag * (motor.ke * settings.bend_sd)) * (sag * (motor.ke * settings.bend_sd))
         )  # fmt: skip
         PH = [_dot(P[j], H) for j in range(n)]
@@ -186,10 +193,13 @@ class _Design:
         keep = math.exp(-1 / 10)
         drift = keep * drift + (1 - keep) * z
         sudden = r.apply("le", settings.alarm, z * z)
+        keep_trend = math.exp(-1 / 60)
+        trend = keep_trend * trend + (1 - keep_trend) * z
+        creeping = r.apply("le", settings.alarm * (1 - keep_trend) / (1 + keep_trend), trend * trend)
         steady = r.apply("le", settings.alarm * (1 - keep) / (1 + keep), drift * drift)
-        jump = sudden.max(steady).max(gap)
+        jump = sudden.max(steady).max(creeping).max(gap)
         opened = jump * (settings.load_jump * rated.torque_Nm) ** 2
-        drift = drift * (1.0 - jump)
+        drift, trend = drift * (1.0 - jump), trend * (1.0 - jump)
         # It jumped at some instant of the window, or before: by its end it has moved the speed along.
         g: list[Any] = [0.0] * n
         g[load], g[w] = 1.0, F[w][load]
@@ -216,30 +226,35 @@ class _Design:
         # What brakes the rotor, as an acceleration: the next window's samples need it.
         drag = rates[w] - I * (motor.ke / motor.J)
         fresh = [window["alive"], window["voltage"], window["current"], drag, window["current"], *[0.0] * (len(WINDOW) - 5)]
-        return r.program([*fresh, drift, restless, *self._pack(new, P)])
+        return r.program([*fresh, drift, trend, restless, *self._pack(new, P)])
 
     def read(self) -> tuple[tuple[str, ...], Program]:
         r = Recorder()
         ambient = r.input("ambient")
         window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
-        drift, restless = r.inputs(MEMORY)
+        drift, trend, restless = r.inputs(MEMORY)
         x, P = self._unpack(r)
         w, theta = self.at["w"], self.at["theta"]
         mean = 0.5 * (window["current"] + window["current_start"])
         rates, _ = self._linearised(r, x, mean, window["voltage"], ambient)
         outputs: dict[str, Any] = {"speed": x[w] + rates[w] * window["time"], "temperature": x[theta]}
-        variances = {"speed": P[w][w], "temperature": P[theta][theta]}
-        if self.parameters:
-            outputs["resistance"] = self._resistance(r, x)
-            variances["resistance"] = self._resistance_variance(r, x, P)
+        outputs["resistance"] = self._resistance(r, x)
+        variances = {
+            "speed": P[w][w], "temperature": P[theta][theta], "resistance": self._resistance_variance(r, x, P)
+        }  # fmt: skip
+        floors = {
+            "speed": self.rated.speed_rad_s, "temperature": self.rated.rise_K,
+            "resistance": self.motor.R_a0 * self.motor.alpha * self.rated.rise_K,
+        }  # fmt: skip
         outputs["load"] = x[self.at["load"]]
         for name in self.states:
             if name not in ("w", "theta", "load"):
                 outputs[name] = x[self.at[name]]
         for name, variance in variances.items():
-            outputs[f"log_{name}"] = (variance + 1e-12).log()
+            # No observer is better than this share of the rating plate; below it, its sureness says nothing.
+            outputs[f"log_{name}"] = (variance + (FLOOR * floors[name]) ** 2).log()
         outputs["correlation"] = P[w][theta] / (P[w][w] * P[theta][theta] + 1e-30).sqrt()
-        outputs["drift"] = drift
+        outputs["drift"], outputs["trend"] = drift, trend
         # An outlier lifts the average of squares by orders of magnitude; its logarithm stays within reach.
         outputs["restless"] = (restless.max(-0.9) + 1.0).log()
         return tuple(outputs), r.program(list(outputs.values()))

@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 # What `accumulate` keeps, in this order; behind it stand `MEMORY`, the states and the upper half of their covariance.
 WINDOW = ("alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends", "sum_steps", "sum_changes")  # fmt: skip
 TIME = WINDOW.index("time")
-# Kept from window to window: the average of the innovations and the excess of their squares.
-MEMORY = ("drift", "restless")
+# Kept from window to window: averages of the innovations over ten and over sixty windows, and the excess of their squares.
+MEMORY = ("drift", "trend", "restless")
 
 
 @dataclass(frozen=True)

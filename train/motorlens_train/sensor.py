@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from motorlens_train.cascade import Network, dense, forward
+from motorlens_train.observer_frame import Frame
 from motorlens_train.posterior import LastLayer
 from motorlens_train.scaling import Scaling, Whitening
 from motorlens_train.specification import Array, Bank, Specification
@@ -25,6 +26,7 @@ class Sensor:
         posterior: last-layer posterior of the function.
         noise: weights `[K, Z]` of the logarithm of each output's remaining variance (scaled), on what the output
             layer reads.
+        frame: what the outputs are relative to, where the bank has an observer.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Sensor:
     targets: Scaling
     posterior: LastLayer
     noise: Tensor
+    frame: Frame | None = None
 
     @property
     def bank(self) -> Bank:
@@ -45,7 +48,11 @@ class Sensor:
         read = self.read(features)
         mean = self.targets.restore(read @ self.network.output.T)
         variance = self.posterior.variance(read) + (read @ self.noise.T).clamp(-25.0, 10.0).exp()
-        return mean.numpy(), (variance.sqrt() * self.targets.deviation).numpy()
+        sigma = variance.sqrt() * self.targets.deviation
+        if self.frame is None:
+            return mean.numpy(), sigma.numpy()
+        estimate, deviation = self.frame.start(features)
+        return estimate + deviation * mean.numpy(), deviation * sigma.numpy()
 
     def read(self, features: Array) -> Tensor:
         """What the output layer reads, `[N, Z]`, its first column the constant."""
