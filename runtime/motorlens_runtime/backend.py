@@ -87,8 +87,7 @@ class NumpyBackend:
             )
         self._nodes = model.nodes
         self._constants = model.constants
-        floats = {array.dtype for array in model.constants.values() if array.dtype.kind == "f"}
-        self._dtype = np.float32 if np.dtype(np.float32) in floats else np.float64
+        self._dtype = model.input_types[0]
 
     def evaluate(self, features: Array) -> tuple[Array, Array]:
         """See `Backend`."""

@@ -86,11 +86,11 @@ class FilterBank:
         u = np.zeros((blocks * BLOCK, len(self.signals)))
         u[:rows] = drive
         values, carry = self._scan(
-            state.carry, dt_blocks.reshape(blocks, BLOCK), u.reshape(blocks, BLOCK, -1)
+            state.carry, dt_blocks.reshape(blocks, BLOCK), u.reshape(blocks, BLOCK, len(self.signals))
         )
         full = rows // BLOCK
         new = BankState(state.count + len(dt_s), carry[full], dt[full * BLOCK :], drive[full * BLOCK :])
-        return new, values.reshape(blocks * BLOCK, -1)[done:rows]
+        return new, values.reshape(blocks * BLOCK, len(self.signals))[done:rows]
 
     def _one(self, carry: Array, dt: Array, u: Array) -> Array:
         """Values (n, S) of one unfinished block of n < 64 rows."""

@@ -1,7 +1,7 @@
 """Samples in, estimates with their deviation and quality out. Every sample updates the state; the network is evaluated
 where a row is asked for. The result of a row is the same to the last bit however the samples are cut into blocks."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ class EstimatorState:
     bank: BankState
     gate: GateState = field(default_factory=GateState)
     mismatch: bool = False
+    observer: tuple[float, ...] = ()
 
 
 class Estimator:
@@ -55,7 +56,10 @@ class Estimator:
 
     def __init__(self, sensor: Sensor, period_s: float, state: EstimatorState | None = None) -> None:
         self.sensor = sensor
-        self.state = state or EstimatorState(sensor.bank.start())
+        fresh_bank, fresh_observer = sensor.extractor.start()
+        self.state = state or EstimatorState(fresh_bank, observer=fresh_observer)
+        if len(self.state.observer) != len(fresh_observer):
+            self.state = replace(self.state, observer=fresh_observer)
         self._gate = Gate(sensor.specification, period_s)
 
     def push(self, samples: Samples, rows: NDArray[np.intp] | None = None) -> Estimates:
@@ -66,14 +70,17 @@ class Estimator:
         """
         gate, gated = self._gate.inspect(self.state.gate, samples)
         sensor = self.sensor
-        signals = sensor.features.signals(Channels(gated.voltage_V, gated.current_A, gated.ambient_C))
         start = self.state.bank.count
-        bank_state, filtered = sensor.bank.advance(
-            self.state.bank, gated.dt_s, sensor.features.drive(signals)
+        bank, observer, features = sensor.extractor.advance(
+            self.state.bank,
+            self.state.observer,
+            Channels(gated.voltage_V, gated.current_A, gated.ambient_C),
+            gated.dt_s,
+            gated.used,
+            rows,
         )
         mismatch = self.state.mismatch
         chosen: NDArray[np.intp] | slice = slice(None) if rows is None else rows
-        features = sensor.features.features(signals[chosen], filtered[chosen])
         values, sigma, outside, disagree = self._evaluate(features, start, rows)
         quality = gated.quality[chosen].copy()
         mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
@@ -83,7 +90,7 @@ class Estimator:
             mark(quality, slice(None), Quality.BACKEND_MISMATCH)
         elif disagree is not None:
             mark(quality, slice(disagree, None), Quality.BACKEND_MISMATCH)
-        self.state = EstimatorState(bank_state, gate, mismatch or disagree is not None)
+        self.state = EstimatorState(bank, gate, mismatch or disagree is not None, observer)
         return Estimates(samples.time_ns[chosen], values, sigma, quality)
 
     def _evaluate(

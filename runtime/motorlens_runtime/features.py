@@ -24,7 +24,7 @@ class Channels:
 class FeatureMap:
     """How features are made of signals and filters, as index arrays: each is a column, or the difference of two.
 
-    The columns are the signals that are used, then the S filters, then one of zeros.
+    The columns are the signals that are used, then the S filters, then one of zeros, then the outputs of the observer.
     """
 
     def __init__(self, specification: Specification) -> None:
@@ -47,7 +47,9 @@ class FeatureMap:
                     "raw": (of_signal, zero),
                     "lowpass": (*of_filters, zero),
                     "difference": (of_signal, *of_filters),
-                }.get(feature.kind, tuple(of_filters))
+                    "between": tuple(of_filters),
+                    "observer": (zero + 1 + feature.output, zero),
+                }[feature.kind]
             )
         self._plus, self._minus = (np.array(column, dtype=np.intp) for column in zip(*pairs, strict=True))
 
@@ -65,9 +67,10 @@ class FeatureMap:
         """The input (n, S) of each filter."""
         return signals.take(self._drive, axis=1)
 
-    def features(self, signals: Array, filtered: Array) -> Array:
-        """Features (m, F) in SI, of signals (m, used) and filters (m, S) after the same samples."""
-        table = np.concatenate((signals, filtered, np.zeros((len(signals), 1))), axis=1)
+    def features(self, signals: Array, filtered: Array, observed: Array | None) -> Array:
+        """Features (m, F) in SI, of signals (m, used), filters (m, S) and observer outputs (m, M) after the same samples."""
+        parts = [signals, filtered, np.zeros((len(signals), 1))]
+        table = np.concatenate(parts if observed is None else [*parts, observed], axis=1)
         features: Array = table.take(self._plus, axis=1)
         features -= table.take(self._minus, axis=1)
         return features

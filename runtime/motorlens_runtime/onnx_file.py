@@ -18,7 +18,7 @@ from motorlens_runtime.errors import ModelError
 
 # StringStringEntryProto {key: "motorlens.sha256", value: 64 digits}, up to the digits.
 _SEAL = re.compile(rb"motorlens\.sha256\x12\x40([0-9a-f]{64})", re.DOTALL)
-_TYPES = {1: np.float32, 6: np.int32, 7: np.int64, 9: np.bool_, 11: np.float64}
+_TYPES: dict[int, type[np.generic]] = {1: np.float32, 6: np.int32, 7: np.int64, 9: np.bool_, 11: np.float64}
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,14 @@ class Node:
 
 @dataclass(frozen=True)
 class OnnxFile:
-    """Graph and metadata. `inputs` and `outputs` are names, `constants` the initializers."""
+    """Graph and metadata. `inputs` and `outputs` are names, `constants` the initializers by name."""
 
     metadata: dict[str, str]
     nodes: tuple[Node, ...]
     constants: dict[str, NDArray[Any]]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    input_types: tuple[type[np.generic], ...]
 
 
 def check_seal(data: bytes, where: str) -> str:
@@ -79,6 +80,7 @@ def parse(data: bytes, where: str) -> OnnxFile:
             elif number == 7:
                 graph = value
         nodes: list[Node] = []
+        types: dict[str, type[np.generic]] = {}
         constants: dict[str, NDArray[Any]] = {}
         inputs: list[str] = []
         outputs: list[str] = []
@@ -89,14 +91,13 @@ def parse(data: bytes, where: str) -> OnnxFile:
                 name, array = _tensor(value)
                 constants[name] = array
             elif number in (11, 12):
-                (inputs if number == 11 else outputs).append(dict(_fields(value))[1].decode())
-        return OnnxFile(
-            metadata,
-            tuple(nodes),
-            constants,
-            tuple(name for name in inputs if name not in constants),
-            tuple(outputs),
-        )
+                entry = dict(_fields(value))
+                name = entry[1].decode()
+                types[name] = _TYPES[dict(_fields(dict(_fields(entry[2]))[1]))[1]]
+                (inputs if number == 11 else outputs).append(name)
+        inputs = [name for name in inputs if name not in constants]
+        input_types = tuple(types[name] for name in inputs)
+        return OnnxFile(metadata, tuple(nodes), constants, tuple(inputs), tuple(outputs), input_types)
     except (ValueError, KeyError, IndexError, struct.error, AttributeError, TypeError) as error:
         raise ModelError(f"{where}: not a readable ONNX model ({type(error).__name__}: {error})") from None
 

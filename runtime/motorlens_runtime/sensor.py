@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.backend import Backend, NumpyBackend, OrtBackend
-from motorlens_runtime.bank import BLOCK, FilterBank, bank_of
+from motorlens_runtime.bank import BLOCK, FilterBank
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.features import Channels, FeatureMap
+from motorlens_runtime.extractor import Extractor, extractor_of
+from motorlens_runtime.features import Channels
 from motorlens_runtime.onnx_file import OnnxFile, check_seal, parse
 from motorlens_runtime.specification import Specification, parse_specification
 
@@ -34,10 +35,14 @@ class Sensor:
     digest: str
     specification: Specification
     card: dict[str, Any]
-    bank: FilterBank
-    features: FeatureMap
+    extractor: Extractor
     backend: Backend
     checker: Backend | None
+
+    @property
+    def bank(self) -> FilterBank:
+        """The filters of the sensor."""
+        return self.extractor.bank
 
 
 def load_sensor(path: str | Path, backend: str = "auto") -> Sensor:
@@ -68,7 +73,7 @@ def load_sensor(path: str | Path, backend: str = "auto") -> Sensor:
         where, _entry(model, "motorlens.name", where, Path(path).stem), _entry(model, "motorlens.version", where, ""),
         _entry(model, "motorlens.licence", where, ""), digest, specification,
         _json(model, "motorlens.card", where, default="{}"),
-        bank_of(specification), FeatureMap(specification), chosen, checker,
+        extractor_of(specification), chosen, checker,
     )  # fmt: skip
     _check_golden(sensor, _json(model, "motorlens.golden", where))
     return sensor
@@ -118,12 +123,12 @@ def _check_golden(sensor: Sensor, golden: dict[str, Any]) -> None:
         tolerance = float(golden["tolerance"])
         if not len(time_ns):
             raise ValueError("empty")
-        signals = sensor.features.signals(Channels(voltage, current, ambient))
         dt_s = np.diff(time_ns, prepend=time_ns[0] - specification.first_dt_ns) * 1e-9
-        _, filtered = sensor.bank.advance(sensor.bank.start(), dt_s, sensor.features.drive(signals))
+        channels = Channels(voltage, current, ambient)
+        used = np.ones(len(time_ns), dtype=bool)
+        *_, rows = sensor.extractor.advance(*sensor.extractor.start(), channels, dt_s, used, None)
     except (KeyError, ValueError, TypeError) as error:
         raise ModelError(f"{where}: golden sequence is damaged ({type(error).__name__}: {error})") from None
-    rows = sensor.features.features(signals, filtered)
     blocks = np.zeros((-(-len(rows) // BLOCK), BLOCK, rows.shape[1]))
     blocks.reshape(-1, rows.shape[1])[: len(rows)] = rows
     for backend in (sensor.backend, sensor.checker):

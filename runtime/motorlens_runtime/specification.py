@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import ModelError
+from motorlens_runtime.observer import Observer
 
 SIGNALS = (
     "one", "voltage", "current", "current_squared", "voltage_squared", "power", "emf", "emf_squared", "emf_power", "ambient",
@@ -50,11 +51,13 @@ class Filter:
 
 @dataclass(frozen=True)
 class Feature:
-    """One input of the network: kind, its signal (raw, difference; else "") and filters (lowpass, difference, between)."""
+    """One input of the network: kind, its signal (raw, difference; else ""), its filters (lowpass, difference, between),
+    the output of the observer that it is (observer)."""
 
     kind: str
     signal: str
     filters: tuple[int, ...]
+    output: int = 0
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class Specification:
     maximum_rate_Hz: float
     warm_up_s: float
     envelope: Envelope
+    observer: Observer | None = None
 
     @property
     def first_dt_ns(self) -> int:
@@ -102,22 +106,23 @@ def parse_specification(text: str, where: str) -> Specification:
             raise ModelError(
                 f"{where}: specification {document['schema']!r}; this runtime knows motorlens.spec/1"
             )
-        if "observer" in document:
-            raise ModelError(
-                f"{where}: has an observer, which this runtime does not know; run its step graph, or update motorlens"
-            )
         rate = document["sample_rate_Hz"]
+        observer = Observer(document["observer"]) if document.get("observer") else None
         specification = Specification(
             outputs=tuple(_output(entry, where) for entry in document["outputs"]),
             needs_ambient=_needs_ambient(document["inputs"], where),
             resistance_ohm=_number(document["resistance_ohm"]),
             inductance_H=_number(document.get("inductance_H") or 0.0),
             filters=tuple(Filter(_signal(f["signal"], where), _positive(f["tau_s"])) for f in document["filters"]),
-            features=tuple(_feature(entry, len(document["filters"]), where) for entry in document["features"]),
+            features=tuple(
+                _feature(entry, len(document["filters"]), observer.outputs if observer else 0, where)
+                for entry in document["features"]
+            ),
             rate_Hz=_positive(rate["nominal"]),
             minimum_rate_Hz=_positive(rate["minimum"]), maximum_rate_Hz=_positive(rate["maximum"]),
             warm_up_s=_number(document["warm_up_s"]),
             envelope=_envelope(document["envelope"], len(document["features"])),
+            observer=observer,
         )  # fmt: skip
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise ModelError(f"{where}: specification is damaged ({type(error).__name__}: {error})") from None
@@ -145,8 +150,12 @@ def _signal(name: str, where: str) -> str:
     return name
 
 
-def _feature(entry: dict[str, Any], filters: int, where: str) -> Feature:
+def _feature(entry: dict[str, Any], filters: int, observed: int, where: str) -> Feature:
     kind = entry["kind"]
+    if kind == "observer":
+        if not 0 <= entry["output"] < observed:
+            raise ValueError("a feature names an output of the observer that is not there")
+        return Feature(kind, "", (), int(entry["output"]))
     signal = _signal(entry["signal"], where) if kind in ("raw", "difference") else ""
     chosen = {
         "raw": (),

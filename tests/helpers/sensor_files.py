@@ -99,6 +99,13 @@ def features_by_loop(spec, time_s, voltage, current, ambient=None):
     return np.array(rows)
 
 
+def source(spec, feature):
+    """The signal that a feature is made of, "observer" for one of an observer's outputs."""
+    if feature["kind"] in ("raw", "difference", "observer"):
+        return feature.get("signal", "observer")
+    return spec["filters"][feature.get("filters", [feature.get("filter")])[0]]["signal"]
+
+
 class Network:
     """A cascade network with random weights: two hidden layers, each sees the inputs too."""
 
@@ -113,13 +120,8 @@ class Network:
             "one": 1,
             "emf_power": 8000,
         }
-        typical |= {"voltage_squared": 40000, "ambient": 40}
-        first = [f.get("filters", [f.get("filter")])[0] for f in spec["features"]]
-        source = [
-            f.get("signal") or spec["filters"][k]["signal"]
-            for f, k in zip(spec["features"], first, strict=True)
-        ]
-        self.scale = np.array([typical[name] for name in source], dtype=dtype)
+        typical |= {"voltage_squared": 40000, "ambient": 40, "observer": 100}
+        self.scale = np.array([typical[source(spec, feature)] for feature in spec["features"]], dtype=dtype)
         self.w1 = rng.normal(size=(n, hidden)).astype(dtype) / 3
         self.b1 = rng.normal(size=hidden).astype(dtype)
         self.w2 = rng.normal(size=(n + hidden, hidden)).astype(dtype) / 3
@@ -171,15 +173,17 @@ def seal(data):
     return empty[:at] + hashlib.sha256(empty).hexdigest().encode() + empty[at + 64 :]
 
 
-def write_sensor(path, *, seed=0, dtype=np.float32, spec=None, golden=None, **options):
-    """Write a random sensor to `path`; returns (spec, network)."""
+def write_sensor(
+    path, *, seed=0, dtype=np.float32, spec=None, golden=None, features=features_by_loop, **options
+):
+    """Write a random sensor to `path`; `features` computes its golden rows. Returns (spec, network)."""
     rng = np.random.default_rng(seed)
     spec = spec or make_spec(**options)
     network = Network(spec, rng, dtype)
     n = 30
     time_s = np.cumsum(rng.choice([0.001, 0.002, 0.5], size=n))
     voltage, current, ambient = rng.uniform(-200, 200, n), rng.uniform(-40, 40, n), rng.uniform(10, 40, n)
-    estimate, sigma = network(features_by_loop(spec, time_s, voltage, current, ambient))
+    estimate, sigma = network(features(spec, time_s, voltage, current, ambient))
     document = {
         "time_s": time_s.tolist(), "voltage_V": voltage.tolist(), "current_A": current.tolist(),
         "ambient_C": ambient.tolist(),

