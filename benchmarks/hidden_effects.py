@@ -4,6 +4,7 @@
     python benchmarks/hidden_effects.py generate --split dev --n 400 -o DIR    recordings, and the key in DIR/key
     python benchmarks/hidden_effects.py run --split dev --n 400 -o DIR         generates, diagnoses and deletes, resumable
     python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy (plain, weak), residual whiteness
+    python benchmarks/hidden_effects.py resolve DIR                            performs and diagnoses the proposed experiments
     python benchmarks/hidden_effects.py score DIR                              opens the key, prints the rates
 
 The plan of a split follows from its seed; its SHA-256 was committed in hidden_effects/keys.sha256 before the diagnosing code
@@ -27,9 +28,10 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "tests"), str(HERE / "hidden_effects")]
 
-from helpers.hidden import Case, Generated, draw, generate, generate_again  # noqa: E402
+from helpers.hidden import Case, Generated, draw, generate, generate_again, generate_experiment  # noqa: E402
+from helpers.hidden.experiments import TESTS  # noqa: E402
 from helpers.hidden.motors import MOTORS  # noqa: E402
-from helpers.hidden.score import Row, failing, strata, summary  # noqa: E402
+from helpers.hidden.score import Rate, Row, failing, strata, summary  # noqa: E402
 
 SEALED = (("dev", 400, False), ("dev", 200, True), ("test", 1200, False), ("subset", 60, True))
 
@@ -196,6 +198,68 @@ def chosen(arguments: argparse.Namespace) -> list[Case]:
     return cases[:: arguments.every]
 
 
+def resolve_one(name: str, out: str, limit_s: float) -> dict[str, Any]:
+    """Perform the experiment that an answer proposed, diagnose again with it, and say whether the group is resolved."""
+    directory = Path(out)
+    truth = json.loads((directory / "key" / f"{name}.json").read_text(encoding="utf-8"))
+    answer = next(row["answer"] for row in read_lines(directory / "answers.jsonl") if row["id"] == name)
+    proposed = answer["separating_experiment"]
+    row: dict[str, Any] = {
+        "id": name,
+        "test": proposed["test"],
+        "seconds": proposed.get("seconds"),
+        "answer": None,
+    }
+    with tempfile.TemporaryDirectory(prefix="hidden-") as scratch:
+        place = Path(scratch)
+        made = generate_again(truth, place)
+        extra = generate_experiment(truth, proposed["test"], float(proposed.get("seconds") or 60.0), place)
+        told = place / "diagnosis.json"
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        words = command([*made.recordings, extra], made.motor, told)
+        done = subprocess.run(
+            words, capture_output=True, text=True, timeout=limit_s, env=environment, check=False
+        )
+        row["stderr"] = done.stderr[-1000:] if done.returncode else ""
+        if told.exists():
+            row["answer"] = _slim(json.loads(told.read_text(encoding="utf-8")))
+    return row
+
+
+def resolve(arguments: argparse.Namespace) -> None:
+    """Perform the proposed experiments of the answers that gave a group."""
+    directory = Path(arguments.directory)
+    out = directory / "resolved.jsonl"
+    done = {row["id"] for row in read_lines(out)}
+    wanted = []
+    for row in read_lines(directory / "answers.jsonl"):
+        proposed = ((row["answer"] or {}).get("separating_experiment") or {}).get("test")
+        if proposed in TESTS and (row["answer"] or {}).get("verdict") == "group" and row["id"] not in done:
+            wanted.append(row["id"])
+    with out.open("a", encoding="utf-8") as file:
+        for number, name in enumerate(wanted, 1):
+            row = resolve_one(name, str(directory), arguments.limit)
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            print(
+                f"{number}/{len(wanted)} {name} {row['test']} {(row['answer'] or {}).get('chosen')}",
+                file=sys.stderr,
+            )
+
+
+def resolved_rate(directory: Path) -> Rate:
+    """How often the truth stood alone after the experiment."""
+    hits = []
+    for row in read_lines(directory / "resolved.jsonl"):
+        truth = json.loads((directory / "key" / f"{row['id']}.json").read_text(encoding="utf-8"))
+        names = {effect["name"] for effect in truth["hidden"]}
+        answer = row["answer"] or {}
+        hits.append(
+            answer.get("verdict") in ("named", "sensor_fault") and set(answer.get("chosen") or []) == names
+        )
+    return Rate(sum(hits), len(hits))
+
+
 def opened(directory: Path) -> dict[str, list[Row]]:
     """Truth, answer and seconds of every case answered, by method."""
 
@@ -221,6 +285,7 @@ def print_score(arguments: argparse.Namespace) -> None:
         ("what", "goal", *methods),
         ((*columns[0][k][:2], *(column[k][2] for column in columns)) for k in range(len(columns[0]))),
     )
+    print(f"the proposed experiment resolves the group (goal >= 90 %): {resolved_rate(directory)}\n")
     if arguments.strata:
         table(("stratum", "wrong name", "false alarm", "detected", "right first", "in group"), strata(rows))
     if arguments.failures:
@@ -298,6 +363,9 @@ def main() -> None:
     action.add_argument("directory")
     action.add_argument("--strata", action="store_true", help="a line a stratum as well")
     action.add_argument("--failures", help="write the failing cases to this Markdown file")
+    action = actions.add_parser("resolve")
+    action.add_argument("directory")
+    action.add_argument("--limit", type=float, default=300.0, help="seconds a diagnosis may take")
     arguments = parser.parse_args()
     if arguments.action == "seal":
         print(seal(), end="")
@@ -308,6 +376,8 @@ def main() -> None:
         run(arguments)
     elif arguments.action == "baselines":
         run_baselines(arguments)
+    elif arguments.action == "resolve":
+        resolve(arguments)
     elif arguments.action == "score":
         print_score(arguments)
 

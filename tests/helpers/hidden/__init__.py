@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from helpers.hidden import effects as hidden_effects
 from helpers.hidden import plant
+from helpers.hidden.experiments import experiment
 from helpers.hidden.information import POWER, Information, Judgement
 from helpers.hidden.plan import best, draw
 from helpers.hidden.world import (
@@ -55,7 +56,7 @@ from helpers.hidden.world import (
 # Rounds in which sizes are made consistent with what they are worth.
 _TRIALS = 5
 
-__all__ = ["Case", "Generated", "draw", "generate", "generate_again", "size_up"]
+__all__ = ["Case", "Generated", "draw", "generate", "generate_again", "generate_experiment", "size_up"]
 
 
 @dataclass(frozen=True)
@@ -129,48 +130,58 @@ def generate(case: Case, directory: Path) -> Generated:
 
 def generate_again(truth: dict[str, Any], directory: Path) -> Generated:
     """The files of a case whose truth is known: the same as `generate` wrote, without sizing anything up."""
-    case = Case(
-        **(truth["case"] | {"hidden": tuple((name, factor) for name, factor in truth["case"]["hidden"])})
-    )
-    sized = [
-        Sized(
-            hidden["name"],
-            hidden["size"] - (1.0 if hidden["name"].endswith("_gain") else 0.0),
-            hidden["shape"],
-        )
-        for hidden in truth["hidden"]
-    ]
-    paths, motor, _ = _write(case, sized, directory)
+    paths, motor, _ = _write(*_known(truth), directory)
     return Generated(paths, motor, truth)
+
+
+def generate_experiment(truth: dict[str, Any], test: str, seconds: float, directory: Path) -> Path:
+    """A recording of the test that a diagnosis proposed (experiments.TESTS), of the same specimen."""
+    case, sized = _known(truth)
+    path = directory / f"{test}.csv"
+    _write_record(case, sized, experiment(case, test, seconds), path)
+    return path
+
+
+def _known(truth: dict[str, Any]) -> tuple[Case, list[Sized]]:
+    hidden = tuple((name, factor) for name, factor in truth["case"]["hidden"])
+    sized = [
+        Sized(told["name"], told["size"] - (1.0 if told["name"].endswith("_gain") else 0.0), told["shape"])
+        for told in truth["hidden"]
+    ]
+    return Case(**(truth["case"] | {"hidden": hidden})), sized
 
 
 def _write(case: Case, sized: list[Sized], directory: Path) -> tuple[list[Path], Path, dict[str, float]]:
     directory.mkdir(parents=True, exist_ok=True)
-    textbook = specimen(case)
     paths = []
     square: dict[str, list[float]] = {}
     for record in records_of(case):
-        states, inputs = run_truth(case, record, textbook, sized)
-        channels = true_channels(case, record, states, inputs)
-        time, shown = measured(case, record, channels, sized)
-        columns = {"time_s": time} | {HEADINGS[name]: shown[name] for name in CHANNEL_SETS[case.channels]}
-        if not record.slow and "speed" in shown:
-            # An encoder of 4096 counts.
-            columns["angle_rad"] = np.floor(states[:, plant.PHI] * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
-        columns |= decoys(case, record, time, shown["current"])
-        path = directory / ("slow.csv" if record.slow else "fast.csv")
-        write_csv(path, columns)
-        paths.append(path)
-        for name, rms in _floor(case, record, textbook, sized, inputs, channels).items():
+        paths.append(directory / ("slow.csv" if record.slow else "fast.csv"))
+        inputs, channels = _write_record(case, sized, record, paths[-1])
+        for name, rms in _floor(case, record, sized, inputs, channels).items():
             square.setdefault(name, []).append(rms**2)
     motor = case.of_motor().write_datasheet(directory / "motor.toml")
     return paths, motor, {name: float(np.sqrt(np.mean(values))) for name, values in square.items()}
 
 
+def _write_record(
+    case: Case, sized: list[Sized], record: Record, path: Path
+) -> tuple[plant.Array, dict[str, plant.Array]]:
+    states, inputs = run_truth(case, record, specimen(case), sized)
+    channels = true_channels(case, record, states, inputs)
+    time, shown = measured(case, record, channels, sized)
+    columns = {"time_s": time} | {HEADINGS[name]: shown[name] for name in CHANNEL_SETS[case.channels]}
+    if not record.slow and "speed" in shown:
+        # An encoder of 4096 counts.
+        columns["angle_rad"] = np.floor(states[:, plant.PHI] * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
+    columns |= decoys(case, record, time, shown["current"])
+    write_csv(path, columns)
+    return inputs, channels
+
+
 def _floor(
-    case: Case, record: Record, textbook: dict[str, float], sized: list[Sized], inputs: plant.Array,
-    channels: dict[str, plant.Array],
-) -> dict[str, float]:  # fmt: skip
+    case: Case, record: Record, sized: list[Sized], inputs: plant.Array, channels: dict[str, plant.Array]
+) -> dict[str, float]:
     """The rms that the true model leaves in each output when it is driven by the measured inputs."""
     physics = [effect for effect in sized if "_sensor_" not in effect.name]
     _, shown = measured(case, record, channels, [])
@@ -180,7 +191,7 @@ def _floor(
         load=shown.get("load_torque", record.drive.load),
         reference=None,
     )
-    p, driven = build(case, replace(record, drive=seen), textbook, physics)
+    p, driven = build(case, replace(record, drive=seen), specimen(case), physics)
     states = plant.simulate(seen.dt, driven, record.start, p, substeps(case, record))
     ideal = true_channels(case, record, states, driven)
     return {

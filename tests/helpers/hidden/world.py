@@ -75,6 +75,8 @@ class Record:
     drive: Programme
     disturbance: Array  # unmeasured torque N m
     start: Array
+    locked: bool = False
+    open_from_s: float = np.inf  # the terminals are open from then on
 
 
 def records_of(case: Case) -> list[Record]:
@@ -132,6 +134,9 @@ def build(
     inputs = np.zeros((n, plant.INPUTS))
     inputs[:, plant.VOLTAGE], inputs[:, plant.LOAD], inputs[:, plant.FLUX] = drive.voltage, drive.load, 1.0
     values = dict(textbook)
+    opened = time >= record.open_from_s
+    inputs[opened, plant.VOLTAGE] = 0.0
+    inputs[opened, plant.SERIES] = 1e5 * values["R"]
     for effect in hidden:
         entry = hidden_effects.lookup(effect.name, case.of_motor())
         if ":" in entry.key or (record.slow and "angle" in entry.needs):
@@ -155,11 +160,13 @@ def build(
             if not record.slow or case.records == "slow":
                 inputs[time > shape["step_at"] * time[-1], plant.FLUX] = 1 - effect.size
         elif effect.name == "loose_connector":
-            inputs[:, plant.SERIES] = effect.size * _telegraph(case, record, n, shape)
+            inputs[:, plant.SERIES] += effect.size * _telegraph(case, record, n, shape)
         elif effect.name == "soft_presliding":
             values["bristle_k"] = effect.size / shape["presliding_rad"]
         elif effect.name == "running_in":
             values["run_in_tau"] = shape["run_in_share"] * time[-1]
+    if record.locked:
+        values["tau_c"] = 1e9
     return plant.vector(**values), inputs
 
 
@@ -198,9 +205,15 @@ def run_truth(
 
 def true_channels(case: Case, record: Record, states: Array, inputs: Array) -> dict[str, Array]:
     """What ideal sensors would show at the grid, without the unmeasured torque."""
+    voltage = inputs[:, plant.VOLTAGE].copy()
+    opened = np.arange(len(voltage)) * record.drive.dt >= record.open_from_s
+    # Behind the open switch the terminals show the back-EMF.
+    voltage[opened] -= inputs[opened, plant.SERIES] * states[opened, plant.I]
+    # A locked shaft's torque sensor shows what the lock bears.
+    load = specimen(case)["ke"] * states[:, plant.I] if record.locked else record.drive.load
     return {
-        "voltage": inputs[:, plant.VOLTAGE], "current": states[:, plant.I], "speed": states[:, plant.W],
-        "temperature": states[:, plant.THETA] + case.of_motor().ambient_C, "load_torque": record.drive.load,
+        "voltage": voltage, "current": states[:, plant.I], "speed": states[:, plant.W],
+        "temperature": states[:, plant.THETA] + case.of_motor().ambient_C, "load_torque": load,
     }  # fmt: skip
 
 
