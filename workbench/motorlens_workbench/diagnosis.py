@@ -19,7 +19,7 @@ from motorlens_workbench.evidence import Evidence, curve_gain, score
 from motorlens_workbench.fitting import Fit, base_prior, fit, noise_of, plain_noise, squares, start_model
 from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import Run, prepare
-from motorlens_workbench.screen import Columns, Line, all_columns, evidence_of, saturated, with_priors
+from motorlens_workbench.screen import Columns, Line, all_columns, evidence_of, unexplained, with_priors
 from motorlens_workbench.selection import REAL, WORTH, Progress, Test, likeness, refit, rivals, test_all, total
 
 Array = NDArray[np.float64]
@@ -132,8 +132,8 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
     free = curves(trajectories, BALANCES)
     columns, lines = all_columns(found, runs, listed, free)
-    unexplained, spent = saturated(columns, runs, plain_noise(found.residuals, runs))
-    whiteners = noise_of(unexplained, runs, spent)
+    rest, spent = unexplained(columns, runs, plain_noise(found.residuals, runs), found.prior.keys)
+    whiteners = noise_of(rest, runs, spent)
     evidence = with_priors(evidence_of(columns, runs, whiteners), found)
     found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
     left = evidence.given(found.prior.keys)
@@ -143,7 +143,7 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
         if name.startswith("decoy."):
             tested = score(left, [name])
             decoy = max(decoy, tested.statistic if tested else 0.0)
-    noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(unexplained, runs, strict=True))
+    noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
     return Look(found, evidence, left, tests, bends_of(left, free), decoy, noise, columns, lines)
 
 

@@ -161,11 +161,17 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     inverse = _inverse(information)
     coefficient = inverse @ total[at, -1]
     gain = float(total[at, -1] @ coefficient)
-    # Scatter after the fitted size is taken out: taken before, it would grow with the effect and hide it.
+    # Scatter after the fitted size is taken out: taken before, it would grow with the effect and hide it. Noise slower
+    # than a block shows between longer ones.
     here = left.blocks[:, at[:, None], at[None, :]]
     scores = left.blocks[:, at, -1] - here @ coefficient
-    meat = scores.T @ scores
-    inflation = max(1.0, float(np.trace(inverse @ meat)) / len(at))
+    inflation = 1.0
+    for merged in (1, 2, 4):
+        joined = np.add.reduceat(scores, np.arange(0, len(scores), merged), axis=0)
+        meat = joined.T @ joined
+        # The fit has taken one of its degrees of freedom from every column.
+        spare = max(1 - merged / max(len(scores), 1), 0.5)
+        inflation = max(inflation, float(np.trace(inverse @ meat)) / len(at) / spare)
     share = np.einsum("ij,bji->b", inverse, here) / len(at)
     blocks = 1.0 / float(np.sum(share**2)) if share.any() else 1.0
     # Few blocks carry the information: their scatter is hardly known, so a margin is kept.
@@ -173,6 +179,23 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     return Score(
         tuple(names), coefficient, covariance, gain, inflation, gain / inflation, blocks, free, information
     )
+
+
+def statistics(left: Evidence) -> Array:
+    """(M - 1,) the robust statistic of every single column at once; 0 for copies of what was projected out."""
+    total = left.total()
+    power = np.diagonal(total)[:-1]
+    known = power > COPY * np.maximum(left.power[:-1], 1e-300)
+    safe = np.where(known, power, 1.0)
+    coefficient = total[:-1, -1] / safe
+    diagonal = np.diagonal(left.blocks, axis1=1, axis2=2)[:, :-1]
+    scores = left.blocks[:, :-1, -1] - diagonal * coefficient
+    inflation = np.ones(len(power))
+    for merged in (1, 2, 4):
+        joined = np.add.reduceat(scores, np.arange(0, len(scores), merged), axis=0)
+        spare = max(1 - merged / max(len(scores), 1), 0.5)
+        inflation = np.maximum(inflation, np.sum(joined**2, axis=0) / safe / spare)
+    return np.asarray(np.where(known, coefficient**2 * safe / inflation, 0.0))
 
 
 def similarity(left: Evidence, names: Sequence[str]) -> Array:

@@ -15,7 +15,7 @@ from motorlens_physics.simulation import Trajectory
 from numpy.typing import NDArray
 
 from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing, variables
-from motorlens_workbench.evidence import RESIDUAL, Evidence
+from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 from motorlens_workbench.fitting import Fit, usable
 from motorlens_workbench.model import Model, inputs_of, sensitivities_of, shown, start_of, through_sensors, with_sensor
 from motorlens_workbench.run import STATE_OF, Run
@@ -210,23 +210,31 @@ def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequ
     return Evidence.of(names, np.array(blocks), np.array(samples))
 
 
-def saturated(columns: Sequence[Columns], runs: Sequence[Run], plain: Sequence[Whitener]) -> tuple[list[Array], int]:
-    """Residuals that no column explains, per run, and how many directions were spent on them.
+# How many columns the noise model may first take out, and the statistic that entitles a column to it.
+TAKEN_OUT, ENTITLED = 10, 20.0
 
-    The noise is taken from here: from the base residual, a missing effect would hide in the noise model. On short
-    recordings only the strongest directions are used, one in twenty samples at most.
+
+def unexplained(
+    columns: Sequence[Columns], runs: Sequence[Run], plain: Sequence[Whitener], base: Sequence[str]
+) -> tuple[list[Array], int]:
+    """Residuals that neither the base parameters nor the strongest few columns explain, and how many were spent.
+
+    The noise is taken from here: from the base residual, a missing effect would hide in the noise model. Taking out every
+    column there is would take the slow part of the noise along, and the noise model would then believe that there is none.
     """
     evidence = evidence_of(columns, runs, plain)
-    total = evidence.total()
-    scale = np.sqrt(np.maximum(np.diagonal(total)[:-1], 1e-300))
-    values, vectors = np.linalg.eigh(total[:-1, :-1] / np.outer(scale, scale))
-    samples = sum(int(run.fresh().sum()) * len(run.channels) for run in runs)
-    most = max(samples // 20, 8)
-    kept = values > 1e-9 * values[-1]
-    kept[: max(len(values) - most, 0)] = False
-    along = vectors[:, kept]
-    coefficient = along @ ((along.T @ (total[:-1, -1] / scale)) / values[kept]) / scale
-    return [one.residual - one.values @ coefficient for one in columns], int(kept.sum())
+    spent = [*base]
+    left = evidence.given(spent)
+    for _ in range(TAKEN_OUT):
+        tests = statistics(left)
+        best = int(np.argmax(tests))
+        if not tests[best] > ENTITLED:
+            break
+        spent.append(left.names[best])
+        left = left.given([left.names[best]])
+    at = evidence.index(spent)
+    coefficient, _ = evidence.solve(spent)
+    return [one.residual - one.values[:, :, at] @ coefficient for one in columns], len(spent)
 
 
 def all_columns(
@@ -248,4 +256,4 @@ def with_priors(evidence: Evidence, found: Fit) -> Evidence:
     return evidence.with_prior(centre, {key: 1.0 for key in found.prior.keys})
 
 
-__all__ = ["RESIDUAL", "Columns", "Line", "all_columns", "evidence_of", "layout", "saturated", "with_priors"]
+__all__ = ["RESIDUAL", "Columns", "Line", "all_columns", "evidence_of", "layout", "unexplained", "with_priors"]

@@ -6,14 +6,18 @@ error is white, and the same filter applied to sensitivities keeps least squares
 Multiple Time Series Analysis, 2005, section 3.2).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
-ORDERS = (0, 2, 6, 16, 40)
+# Short lags, and whether means over longer pasts join them: (order, with memory).
+CHOICES = ((0, False), (2, False), (6, False), (2, True), (6, True), (16, True))
+# Rows over which the longer pasts reach (first-order filters).
+MEMORIES = (10.0, 40.0, 160.0, 640.0)
 
 
 @dataclass(frozen=True)
@@ -24,14 +28,18 @@ class Whitener:
         coefficients: (p + 1, C, C); `coefficients[k, c, j]` weighs channel j at lag k in the prediction of channel c.
             At lag 0 only channels before c take part.
         sigma: (C,) standard deviation of the prediction error, the unit of the whitened residual.
+        memories: (q,) rows over which the means of longer pasts reach.
+        memory: (q, C, C) weights of those means, like `coefficients`.
     """
 
     coefficients: Array
     sigma: Array
+    memories: tuple[float, ...] = ()
+    memory: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
     @property
     def order(self) -> int:
-        """How many past samples are used."""
+        """How many past samples are used one by one."""
         return len(self.coefficients) - 1
 
     def __call__(self, y: Array) -> Array:
@@ -40,13 +48,23 @@ class Whitener:
         white = np.array(columns, dtype=np.float64)
         order = self.order
         for lag, weights in enumerate(self.coefficients):
-            if not weights.any():
-                continue
-            past = columns[: len(columns) - lag] if lag else columns
-            white[lag:] -= np.einsum("cj,njm->ncm", weights, past, optimize=True)
+            _subtract(white[lag:], weights, columns[: len(columns) - lag])
+        for reach, weights in zip(self.memories, self.memory, strict=True):
+            _subtract(white[1:], weights, past_mean(columns, reach)[:-1])
         white /= self.sigma[None, :, None]
         white[:order] = 0.0
         return white[:, :, 0] if y.ndim == 2 else white
+
+
+def _subtract(white: Array, weights: Array, past: Array) -> None:
+    for c, j in zip(*np.nonzero(weights), strict=True):
+        white[:, c] -= weights[c, j] * past[:, j]
+
+
+def past_mean(y: Array, reach: float) -> Array:
+    """Exponential mean over the past, the present included, along the first axis; starts at zero."""
+    keep = float(np.exp(-1 / reach))
+    return np.asarray(lfilter([1 - keep], [1.0, -keep], y, axis=0))
 
 
 def white(sigma: Array) -> Whitener:
@@ -56,7 +74,7 @@ def white(sigma: Array) -> Whitener:
 
 
 def fit_whitener(residual: Array, valid: NDArray[np.bool_], floor: Array, used: int = 0) -> Whitener:
-    """Estimate the filter from residuals, its order by the Bayesian information criterion.
+    """Estimate the filter from residuals, its length by the Bayesian information criterion.
 
     Args:
         residual: (N, C).
@@ -65,51 +83,50 @@ def fit_whitener(residual: Array, valid: NDArray[np.bool_], floor: Array, used: 
         used: parameters already spent on these residuals, for an unbiased sigma.
     """
     rows, channels = residual.shape
-    longest = max((order for order in ORDERS if (order + 1) * channels * 20 <= rows), default=0)
+    choices = [choice for choice in CHOICES if (choice[0] + 4 * choice[1] + 1) * channels * 20 <= rows] or [(0, False)]
+    longest = max(order for order, _ in choices)
     kept = valid.copy()
     for lag in range(1, longest + 1):
         kept[lag:] &= valid[:-lag]
     kept[:longest] = False
+    reaches = tuple(reach for reach in MEMORIES if 10 * reach <= rows)
+    lagged = [residual[longest - lag : rows - lag] for lag in range(1, longest + 1)]
+    means = [past_mean(residual, reach)[longest - 1 : rows - 1] for reach in reaches] if longest else []
+    now = residual[longest:]
     best: tuple[float, Whitener] | None = None
-    for order in (order for order in ORDERS if order <= longest):
+    for order, remembers in choices:
+        used_means = means if remembers else []
+        past = np.concatenate([*lagged[:order], *used_means], axis=1) if order or used_means else now[:, :0]
         coefficients = np.zeros((order + 1, channels, channels))
+        memory = np.zeros((len(used_means), channels, channels))
         sigma = np.zeros(channels)
         criterion = 0.0
         for c in range(channels):
-            lagged = [
-                residual[longest - lag : rows - lag, j]
-                for lag in range(1, order + 1)
-                for j in range(channels)
-            ]
-            regressors = (
-                np.column_stack([*lagged, *(residual[longest:, j] for j in range(c))])
-                if lagged or c
-                else None
-            )
-            target = residual[longest:, c]
-            keep = kept[longest:]
-            if regressors is None:
-                error = target[keep]
-                spent = 0
-            else:
-                design = regressors[keep]
-                gram = design.T @ design
-                # A ridge far below the noise keeps exact copies (two channels of one signal) from blowing up.
-                gram[np.diag_indices_from(gram)] *= 1 + 1e-9
-                gram[np.diag_indices_from(gram)] += 1e-30
-                weights = np.linalg.lstsq(gram, design.T @ target[keep], rcond=1e-13)[0]
-                error = target[keep] - design @ weights
-                past = channels * order
-                coefficients[1:, c, :] = weights[:past].reshape(order, channels)
-                coefficients[0, c, :c] = weights[past:]
-                spent = len(weights)
-            count = max(len(error) - spent - used, 1)
+            design = np.concatenate([past, now[:, :c]], axis=1)[kept[longest:]]
+            target = now[kept[longest:], c]
+            weights = _regress(design, target)
+            error = target - design @ weights
+            lags = channels * order
+            coefficients[1:, c, :] = weights[:lags].reshape(order, channels)
+            memory[:, c, :] = weights[lags : past.shape[1]].reshape(-1, channels)
+            coefficients[0, c, :c] = weights[past.shape[1] :]
+            count = max(len(error) - len(weights) - used / channels, 0.5 * len(error), 1)
             sigma[c] = max(float(np.sqrt(np.sum(error**2) / count)), floor[c])
-            criterion += len(error) * 2 * np.log(sigma[c]) + spent * np.log(max(len(error), 2))
+            criterion += len(error) * 2 * np.log(sigma[c]) + len(weights) * np.log(max(len(error), 2))
         if best is None or criterion < best[0]:
-            best = (criterion, Whitener(coefficients, sigma))
+            best = (criterion, Whitener(coefficients, sigma, reaches if remembers else (), memory))
     assert best is not None
     return best[1]
+
+
+def _regress(design: Array, target: Array) -> Array:
+    if not design.shape[1]:
+        return np.zeros(0)
+    gram = design.T @ design
+    # A ridge far below the noise keeps exact copies (two channels of one signal) from blowing up.
+    gram[np.diag_indices_from(gram)] *= 1 + 1e-9
+    gram[np.diag_indices_from(gram)] += 1e-30
+    return np.asarray(np.linalg.lstsq(gram, design.T @ target, rcond=1e-13)[0])
 
 
 def quantisation_step(y: Array) -> float:
