@@ -1,15 +1,18 @@
 """How far a motor file is from recordings, and where: by channel, equation, operating region, time scale and shaft angle.
 
-Nothing is fitted: the model runs freely from the first samples of each recording, driven by the measured voltage, load and
-ambient. Beside it each equation is driven by the measured others, low-passed so that no derivative is taken of noise:
-LP(torque) - J (w - LP(w)) / T is the torque that the mechanical equation lacks (Young 1981, doi:10.1016/0005-1098(81)90082-0).
+Nothing in the motor is fitted: the model runs freely from the first samples of each recording, driven by the measured
+voltage, load and ambient. Beside it each equation is driven by the measured others, low-passed so that no derivative is
+taken of noise: J (w - LP(w)) / T - LP(torque) is the torque that the mechanical equation lacks
+(Young 1981, doi:10.1016/0005-1098(81)90082-0). Which equation is to blame is a question of its own: how much of the error
+of the free run a free force in that equation, and in no other, would take away.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from motorlens_physics.motor_file import MotorFile
@@ -17,13 +20,16 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import TimeConstants, time_constants
 from motorlens_physics.simulation import Trajectory
 from motorlens_runtime.errors import DataError, ModelError
+from motorlens_workbench.candidates import curves
 from motorlens_workbench.fitting import start_model
 from motorlens_workbench.model import Model, inputs_of, predict
 from motorlens_workbench.run import STATE_OF, UNIT_OF, Run, prepare
+from motorlens_workbench.screen import Line
 
 Array = NDArray[np.float64]
 
 EQUATIONS = {"electrical": "V", "mechanical": "N*m", "thermal": "W"}
+_BALANCE = {"electrical": "voltage", "mechanical": "torque", "thermal": "heat"}
 # Cells of the map of speed and current, in each direction; cells with fewer samples say nothing.
 CELLS, FEWEST = 6, 20
 # Share of the top speed below which the rotor counts as near standstill.
@@ -32,7 +38,7 @@ STANDSTILL = 0.02
 
 @dataclass(frozen=True)
 class Overlay:
-    """One recording and the model's free run on it. `predicted`, `noise` in the order of `run.channels`; shapes (N, C), (C,)."""
+    """One recording and the model's free run on it: `predicted` (N, C) and `noise` (C,) in the order of `run.channels`."""
 
     run: Run
     trajectory: Trajectory
@@ -60,7 +66,8 @@ class Channel:
 
 @dataclass(frozen=True)
 class Equation:
-    """One balance driven by the measured others: what it lacks (rms, in `unit`), and its share of all that is lacking."""
+    """One balance driven by the measured others: what it lacks (rms, in `unit`), and its share of the error
+    that free forces would remove."""
 
     unit: str
     rms: float
@@ -103,19 +110,21 @@ def compare(file: MotorFile, recordings: Sequence[Recording]) -> Comparison:
     """
     runs = tuple(prepare(recording, file) for recording in recordings)
     model = start_model(file, runs)
-    overlays = tuple(_overlay(model, run, r) for r, run in enumerate(runs))
+    held, overlays = [], []
+    for r, run in enumerate(runs):
+        # A recording does not say whether its voltage was held between samples; the better agreement does.
+        ways = [_overlay(replace(model, held=tuple(way for _ in runs)), run, r) for way in (False, True)]
+        held.append(bool(np.mean(_in_sigma(ways[1])) < np.mean(_in_sigma(ways[0]))))
+        overlays.append(ways[held[-1]])
+    measured = [channel for channel in STATE_OF if any(channel in run.channels for run in runs)]
     return Comparison(
         file,
-        overlays,
-        {c: _channel(c, overlays) for c in STATE_OF if any(c in run.channels for run in runs)},
-        _equations(file, overlays),
+        tuple(overlays),
+        {channel: _channel(channel, overlays) for channel in measured},
+        _equations(replace(model, held=tuple(held)), overlays),
         _map(overlays),
         _regions(overlays),
-        {
-            c: _bands(c, overlays, time_constants(file.motor))
-            for c in STATE_OF
-            if any(c in run.channels for run in runs)
-        },
+        {channel: _bands(channel, overlays, time_constants(file.motor)) for channel in measured},
         _orders(overlays),
     )
 
@@ -132,14 +141,18 @@ def noise_floor(error: Array) -> float:
 
 def lowpass(y: Array, time_s: Array, tau_s: float) -> Array:
     """First-order low-pass of (N,) samples that run linearly in between, exact for uneven spacing; starts at y[0]."""
+    dt = np.diff(time_s)
+    return np.asarray(_follow(y, np.diff(y) / dt, np.exp(-dt / tau_s), tau_s))
+
+
+@njit(cache=True)
+def _follow(y, slope, keep, tau):  # type: ignore[no-untyped-def]
+    # Exact for a ramp: s' = y1 - slope tau + (s - y0 + slope tau) keep.
     out = np.empty_like(y)
     out[0] = y[0]
-    dt = np.diff(time_s)
-    keep = np.exp(-dt / tau_s)
-    slope = np.diff(y) / dt
-    # Exact for a ramp: s' = (y1 - slope tau) + (s - y0 + slope tau) keep.
-    for k in range(len(dt)):
-        out[k + 1] = y[k + 1] - slope[k] * tau_s + (out[k] - y[k] + slope[k] * tau_s) * keep[k]
+    for k in range(len(slope)):
+        lag = slope[k] * tau
+        out[k + 1] = y[k + 1] - lag + (out[k] - y[k] + lag) * keep[k]
     return out
 
 
@@ -204,27 +217,59 @@ def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:
     return Channel(UNIT_OF[channel], rmse, fit, float(np.mean(error)), float(np.abs(error).max()), floor)
 
 
-def _equations(file: MotorFile, overlays: Sequence[Overlay]) -> dict[str, Equation]:
-    excess, rms = {}, {}
-    for name in EQUATIONS:
-        lacking = np.concatenate([o.missing[name] for o in overlays])
-        rms[name] = float(np.sqrt(np.mean(lacking**2)))
-        expected = np.concatenate(
-            [np.full(len(o.run.measured), _expected(file, o, name) ** 2) for o in overlays]
-        )
-        excess[name] = max(float(np.mean(lacking**2 / expected)) - 1, 0.0)
+def _equations(model: Model, overlays: Sequence[Overlay]) -> dict[str, Equation]:
     reasons = {name: _untestable(name, overlays) for name in EQUATIONS}
-    whole = sum(excess[name] for name in EQUATIONS if not reasons[name])
-    return {
-        name: Equation(
-            unit,
-            rms[name],
-            excess[name] / whole if whole > 0 and not reasons[name] else 0.0,
-            not reasons[name],
-            reasons[name],
-        )
-        for name, unit in EQUATIONS.items()
+    removable = _removable(model, overlays, [name for name in EQUATIONS if not reasons[name]])
+    whole = sum(removable.values())
+    found = {}
+    for name, unit in EQUATIONS.items():
+        rms = float(np.sqrt(np.mean(np.concatenate([o.missing[name] for o in overlays]) ** 2)))
+        share = removable.get(name, 0.0) / whole if whole > 0 else 0.0
+        found[name] = Equation(unit, rms, share, not reasons[name], reasons[name])
+    return found
+
+
+def _removable(model: Model, overlays: Sequence[Overlay], names: Sequence[str]) -> dict[str, float]:
+    """How much of the squared error, in units of the noise, only a free force in each of these equations takes away.
+
+    The force is a sum of free curves against speed, current, temperature and time; it costs something beyond a tenth of
+    what the equation carries at rated load.
+    """
+    rated, motor = model.file.rated, model.file.motor
+    carried = {
+        "electrical": rated.voltage_V,
+        "mechanical": rated.torque_Nm,
+        "thermal": motor.k0 * rated.rise_K,
     }
+    free = curves([o.trajectory for o in overlays], [_BALANCE[name] for name in names])
+    owner = np.array(
+        [name for curve in free for name in names if _BALANCE[name] == curve.balance for _ in curve.knots]
+    )
+    gram, gradient = np.zeros((len(owner), len(owner))), np.zeros(len(owner))
+    for r, overlay in enumerate(overlays):
+        run = overlay.run
+        line = Line.of(model, run, r)
+        sigma = overlay.noise / np.sqrt(run.every)
+        kept = run.fresh()
+        columns = (
+            np.concatenate([line.of_curve(curve) for curve in free], axis=2)[kept] / sigma[None, :, None]
+        )
+        error = run.average(overlay.error)[kept] / sigma
+        flat = columns.reshape(-1, len(owner))
+        gram += flat.T @ flat
+        gradient += flat.T @ error.ravel()
+    cost = np.diag([(0.1 * carried[name]) ** -2 for name in owner])
+
+    def fall(of: NDArray[np.bool_]) -> float:
+        if not of.any():
+            return 0.0
+        inside = np.ix_(of, of)
+        return float(
+            gradient[of] @ np.linalg.lstsq(gram[inside] + cost[inside], gradient[of], rcond=1e-14)[0]
+        )
+
+    everything = fall(np.ones(len(owner), dtype=bool))
+    return {name: max(everything - fall(owner != name), 0.0) for name in names}
 
 
 def _untestable(name: str, overlays: Sequence[Overlay]) -> str:
@@ -238,42 +283,18 @@ def _untestable(name: str, overlays: Sequence[Overlay]) -> str:
     absent = [channel for channel in needed if channel not in channels]
     if absent:
         return f"{' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} not measured"
-    if name == "thermal" and not channels & {"current"}:
+    if name == "thermal" and "current" not in channels:
         return "current is not measured"
     return ""
 
 
-def _expected(file: MotorFile, overlay: Overlay, name: str) -> float:
-    """Standard deviation that noise alone gives what an equation lacks, in its unit."""
-    motor, run = file.motor, overlay.run
-    noise = {channel: float(overlay.noise[k]) for k, channel in enumerate(run.channels)}
-    i, w, theta = noise.get("current", 0.0), noise.get("speed", 0.0), noise.get("temperature", 0.0)
-    tau = filter_times(run, time_constants(motor))[name]
-    smoothing = np.sqrt(run.period_s / (2 * tau))
-    inputs = run.inputs
-    v, load = noise_floor(inputs.voltage_V), noise_floor(inputs.load_torque_Nm)
-    current = float(np.sqrt(np.mean(overlay.trajectory.current_A**2)))
-    terms = {
-        "electrical": (
-            motor.L * i / tau,
-            smoothing * np.sqrt(v**2 + (motor.R_a0 * i) ** 2 + (motor.ke * w) ** 2),
-        ),
-        "mechanical": (
-            motor.J * w / tau,
-            smoothing * np.sqrt(load**2 + (motor.ke * i) ** 2 + (motor.b * w) ** 2),
-        ),
-        "thermal": (
-            motor.H * theta / tau,
-            smoothing * np.hypot(motor.k0 * theta, 2 * motor.R_a0 * current * i),
-        ),
-    }[name]
-    # A thousandth of what the equation carries is as well as any equation is ever known.
-    carried = {
-        "electrical": file.rated.voltage_V,
-        "mechanical": file.rated.torque_Nm,
-        "thermal": motor.k0 * file.rated.rise_K,
-    }[name]
-    return float(np.sqrt(terms[0] ** 2 + terms[1] ** 2 + (1e-3 * carried) ** 2))
+def remark(name: str, overlays: Sequence[Overlay]) -> str:
+    """What a tested equation takes for granted, in words; empty if nothing."""
+    if name == "mechanical" and any("load_torque" not in o.run.known for o in overlays):
+        return "the load torque was not measured and is taken as none"
+    if name == "thermal" and any("ambient" not in o.run.known for o in overlays):
+        return "the ambient was not measured and is taken from the rating plate"
+    return ""
 
 
 def _in_sigma(overlay: Overlay) -> Array:
@@ -297,7 +318,7 @@ def _pooled(overlays: Sequence[Overlay], channel: str) -> Array:
 def _map(overlays: Sequence[Overlay]) -> tuple[Region, ...]:
     error = np.concatenate([_in_sigma(o)[o.run.valid] for o in overlays])
     speed, current = _pooled(overlays, "speed"), _pooled(overlays, "current")
-    edges = [np.linspace(*np.percentile(y, (0, 100)), CELLS + 1) for y in (speed, current)]
+    edges = [np.linspace(float(y.min()), float(y.max()), CELLS + 1) for y in (speed, current)]
     at = [
         np.clip(np.searchsorted(e, y, side="right") - 1, 0, CELLS - 1)
         for e, y in zip(edges, (speed, current), strict=True)
