@@ -9,11 +9,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+from motorlens_runtime.alarms import Watch, parse_alarm
 from motorlens_runtime.cli import write_json
 from motorlens_runtime.columns import parse_mapping
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.feed import open_feed
 from motorlens_runtime.infer import header_of
+from motorlens_runtime.memory import Memory
+from motorlens_runtime.notify import Notifier
 from motorlens_runtime.outlet import Outlet
 from motorlens_runtime.recorder import Recorder
 from motorlens_runtime.sensor import load_sensor
@@ -34,6 +37,7 @@ def run_live(arguments: argparse.Namespace) -> int:
             "motorlens run: the sensor needs the ambient temperature from the drive; --ambient DEGREES_C sets it",
             file=sys.stderr,
         )
+    watch = Watch([parse_alarm(text, sensor.specification) for text in arguments.alarm])
     clock = time.monotonic_ns
     with ExitStack() as stack:
         feed = open_feed(
@@ -48,8 +52,16 @@ def run_live(arguments: argparse.Namespace) -> int:
         recorder = Recorder(arguments.record) if arguments.record else None
         if recorder is not None:
             stack.callback(recorder.close)
+        memory = Memory(arguments.memory, sensor) if arguments.memory else None
         service = Service(
-            feed, sensor, outlets, recorder, Settings(arguments.rate, arguments.duration), clock
+            feed,
+            sensor,
+            outlets,
+            recorder,
+            Settings(arguments.rate, arguments.duration),
+            clock,
+            watch=watch,
+            memory=memory,
         )
         # What is alive now stays alive: the collector need not look at it again.
         gc.collect()
@@ -57,10 +69,12 @@ def run_live(arguments: argparse.Namespace) -> int:
         cpu_s, started_ns = time.process_time(), clock()
         try:
             with _stopping() as stop:
-                service.run(stop)
+                service.run(Notifier().while_running(stop, clock))
         finally:
             seconds = (clock() - started_ns) * 1e-9
             cpu_s = time.process_time() - cpu_s
+            if memory is not None:
+                memory.close(service.estimator.state if service.estimator else None, feed.device)
             stack.close()
             gc.unfreeze()
             report = {**service.report(), "seconds": seconds, "cpu_share": cpu_s / max(seconds, 1e-9)}
@@ -117,5 +131,11 @@ def _say(report: dict[str, Any]) -> None:
         lines.append(
             f"recording: {record['lost']} samples lost{': ' + record['error'] if record['error'] else ''}"
         )
+    memory = report["memory"]
+    if memory and memory["message"]:
+        lines.append(memory["message"])
+    lines += [
+        f"alarm {'on' if e['active'] else 'off'}: {e['alarm']}: {e['message']}" for e in report["events"][-5:]
+    ]
     for line in lines:
         print(f"motorlens run: {line}", file=sys.stderr)

@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimator import Estimates
 from motorlens_runtime.publish import Header, open_publisher
+
+Event = dict[str, Any]
 
 _MAX_ROWS = 1 << 16
 _FLUSH_S = 0.2
@@ -69,7 +72,8 @@ class Outlet:
         self._grid = Grid(_rate(url, options.get("rate", "0")))
         self._reduce = _reducer(url, options.get("decimate", "last"), options.get("rate"))
         self._publisher = open_publisher(url, header)
-        self._queue: deque[Estimates] = deque()
+        self._queue: deque[Estimates | Event] = deque()
+        self._tell: Callable[[Event], None] | None = getattr(self._publisher, "event", None)
         self._rows_waiting = 0
         self._wake = threading.Condition()
         self._closing = False
@@ -84,14 +88,12 @@ class Outlet:
         estimates = self._reduce(self._grid, estimates)
         if not len(estimates) or self.dead:
             return
-        with self._wake:
-            self._queue.append(estimates)
-            self._rows_waiting += len(estimates)
-            while self._rows_waiting > _MAX_ROWS and len(self._queue) > 1:
-                lost = len(self._queue.popleft())
-                self._rows_waiting -= lost
-                self._dropped += lost
-            self._wake.notify()
+        self._put(estimates)
+
+    def put_event(self, event: Event) -> None:
+        """Hand over an event, to a publisher that has a word for it; returns at once."""
+        if self._tell is not None and not self.dead:
+            self._put(event)
 
     def close(self, patience_s: float = 2.0) -> None:
         """Publish what waits, for `patience_s` at most, and finish."""
@@ -106,7 +108,19 @@ class Outlet:
 
     def report(self) -> OutletReport:
         """See `OutletReport`."""
-        return OutletReport(self._url, self._published, self._dropped, self._errors, self._last_error)
+        # Some publishers cannot send at once what they are given, and count that themselves.
+        dropped = self._dropped + int(getattr(self._publisher, "dropped", 0))
+        return OutletReport(self._url, self._published, dropped, self._errors, self._last_error)
+
+    def _put(self, item: Estimates | Event) -> None:
+        with self._wake:
+            self._queue.append(item)
+            self._rows_waiting += _rows(item)
+            while self._rows_waiting > _MAX_ROWS and len(self._queue) > 1:
+                lost = _rows(self._queue.popleft())
+                self._rows_waiting -= lost
+                self._dropped += lost
+            self._wake.notify()
 
     def _work(self) -> None:
         while True:
@@ -117,29 +131,43 @@ class Outlet:
                 batch, self._queue = list(self._queue), deque()
                 self._rows_waiting = 0
                 finish = self._closing
-            for estimates in batch:
-                self._attempt(self._publisher.publish, estimates)
+            for item in batch:
+                if isinstance(item, Estimates):
+                    self._attempt(self._publisher.publish, item)
+                elif self._tell is not None:
+                    self._attempt(self._tell, item)
             self._attempt(self._publisher.flush)
             if finish and not self._queue:
-                self._attempt(self._publisher.close)
+                self._finish()
                 return
 
-    def _attempt(self, action: Callable[..., None], *arguments: Estimates) -> None:
+    def _attempt(self, action: Callable[..., None], *arguments: Estimates | Event) -> None:
         if self.dead:
             return
         try:
             action(*arguments)
-            self._published += sum(len(argument) for argument in arguments)
+            self._published += sum(map(_rows, arguments))
         except BrokenPipeError as error:
             self.dead = True  # the reader has gone for good
             self._note(error, arguments)
         except Exception as error:  # whatever a publisher's library raises must not end the service
             self._note(error, arguments)
 
-    def _note(self, error: Exception, arguments: tuple[Estimates, ...]) -> None:
+    def _finish(self) -> None:
+        try:
+            self._publisher.close()
+        except Exception as error:  # that a reader has gone was noted when it went
+            if not self.dead:
+                self._note(error, ())
+
+    def _note(self, error: Exception, arguments: tuple[Estimates | Event, ...]) -> None:
         self._errors += 1
-        self._dropped += sum(len(argument) for argument in arguments)
+        self._dropped += sum(map(_rows, arguments))
         self._last_error = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+
+
+def _rows(item: Estimates | Event) -> int:
+    return len(item) if isinstance(item, Estimates) else 1
 
 
 def _rate(url: str, text: str) -> float:

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from motorlens_runtime.alarms import Watch
 from motorlens_runtime.estimator import Estimates, Estimator, EstimatorState
 from motorlens_runtime.feed import Feed
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.memory import Memory
 from motorlens_runtime.outlet import Grid, Outlet
 from motorlens_runtime.quality import Quality
 from motorlens_runtime.recorder import Recorder
@@ -44,15 +46,20 @@ class Service:
         feed, sensor, outlets, recorder: opened by the caller and closed by it.
         settings: see `Settings`.
         clock: nanoseconds that never run backwards.
-        state: where the estimator goes on; None is a fresh start.
+        state: where the estimator goes on; None is a fresh start, or what `memory` recalls.
+        watch: the alarms.
+        memory: the heat of earlier runs.
     """
 
     def __init__(
         self, feed: Feed, sensor: Sensor, outlets: Sequence[Outlet], recorder: Recorder | None, settings: Settings,
-        clock: Callable[[], int], state: EstimatorState | None = None,
+        clock: Callable[[], int], state: EstimatorState | None = None, watch: Watch | None = None,
+        memory: Memory | None = None,
     ) -> None:  # fmt: skip
         self._feed, self._sensor, self._outlets, self._recorder = feed, sensor, outlets, recorder
         self._settings, self._clock, self._state = settings, clock, state
+        self._watch, self._memory = watch, memory
+        self._events: list[dict[str, Any]] = []
         self._grid = Grid(settings.rate_Hz)
         self._estimator: Estimator | None = None
         self._period_s: float | None = None
@@ -88,6 +95,8 @@ class Service:
         arrival_ns = self._feed.arrival_ns
         estimator = self._current_estimator()
         samples = self._judge_lag(samples, arrival_ns)
+        if self._memory is not None:
+            samples = self._memory.mark(samples)
         if self._recorder is not None:
             self._recorder.put(samples)
         if self._first_ns is None:
@@ -99,6 +108,8 @@ class Service:
         if len(estimates):
             self._latest = estimates
             self._hand_out(estimates)
+        if self._memory is not None:
+            self._memory.keep(estimator.state, self._feed.device, arrival_ns)
         self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
         self._blocks += 1
 
@@ -123,6 +134,8 @@ class Service:
             else None,
             "quality": {name: count for name, count in flagged.items() if count},
             "feed": feed,
+            "events": self._events,
+            "memory": None if self._memory is None else self._memory.report(),
             "outlets": [vars(outlet.report()) for outlet in self._outlets],
         }
 
@@ -136,6 +149,8 @@ class Service:
         period_s = self._feed.period_s or 1 / self._sensor.specification.rate_Hz
         if self._estimator is None or period_s != self._period_s:
             state = self._state if self._estimator is None else self._estimator.state
+            if state is None and self._memory is not None:
+                state = self._memory.recall(self._feed.device)
             self._estimator, self._period_s = Estimator(self._sensor, period_s, state), period_s
         return self._estimator
 
@@ -155,6 +170,11 @@ class Service:
             self._reasons[bit] += np.count_nonzero(estimates.quality & np.uint32(1 << bit))
         for outlet in self._outlets:
             outlet.put(estimates)
+        for event in [] if self._watch is None else self._watch.look(estimates):
+            document = event.document()
+            self._events = [*self._events[-99:], document]
+            for outlet in self._outlets:
+                outlet.put_event(document)
 
     def _stale(self) -> None:
         """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale."""

@@ -29,6 +29,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", type=float, default=float("inf"), metavar="S", help="end after so many seconds"
     )
     parser.add_argument(
+        "--alarm",
+        action="append",
+        default=[],
+        metavar="QUANTITY>LIMIT",
+        help="publish an event when it is passed: temperature>90,hysteresis=5 or temperature>90,within_s=120",
+    )
+    parser.add_argument(
+        "--memory", metavar="FILE", help="remember the motor's heat here, over restarts of this program"
+    )
+    parser.add_argument(
         "--record",
         metavar="REC.csv",
         help="also write the samples; infer on that file gives the same estimates",

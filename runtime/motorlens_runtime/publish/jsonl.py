@@ -41,6 +41,10 @@ class JsonLinesPublisher:
         """One line per row."""
         self._file.write("".join(json.dumps(row) + "\n" for row in documents(estimates, self._header)))
 
+    def event(self, event: dict[str, Any]) -> None:
+        """One line, told from a row by its `event`."""
+        self._file.write(json.dumps(event) + "\n")
+
     def flush(self) -> None:
         """Hand what was written to the operating system."""
         self._file.flush()
