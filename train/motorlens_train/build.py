@@ -17,7 +17,8 @@ from motorlens_train.observer_frame import Frame
 from motorlens_train.posterior import LastLayer
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Array, Bank, Envelope, Rate, Specification
-from motorlens_train.trainer import Record, Settings, Trained, train
+from motorlens_train.state import Record
+from motorlens_train.trainer import Settings, Trained, train
 
 # Directions of the last-layer posterior that the exported sensor keeps: the least determined ones.
 DIRECTIONS = 12

@@ -1,12 +1,13 @@
-"""Duty cycles for training: a motor through random voltage, load, ambient and start temperature, hot restarts included.
+"""Duty cycles for training: a motor through random voltage, load, ambient and start temperature, hot restarts
+included.
 
-What the sensor sees is voltage and current with white Gaussian noise; the targets are true. Most cycles start from
-ambient temperature; some start warm from a run that the sensor has not seen, and some while the motor already runs, as a
-sensor switched on late would meet it. How many is the prior that the network learns: it cannot tell a warm start from a
-cold one at once, so an estimate in the first minutes lies between the two by these shares.
+What the sensor sees is voltage and current with white Gaussian noise; the targets are true. Cycles start from
+ambient temperature; standstills inside a cycle give hot restarts whose history the sensor has seen. A motor
+that starts warm, or runs already when the sensor is switched on, is a case of its own (`unknown_history`):
+filters of voltage and current alone cannot know what heated it, and a network trained on a mixture would be
+wrong about both.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +17,6 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import Phase, Plan, Scenario, grid, perform, steps, time_constants
 from motorlens_physics.simulation import Inputs
 from motorlens_train.specification import Array
-
-WARM_SHARE, LATE_SHARE = 0.12, 0.08
 
 
 @dataclass(frozen=True)
@@ -30,11 +29,14 @@ class Noise:
 
 @dataclass(frozen=True)
 class TrainingDuty(Scenario):
-    """Random steps of voltage and load; dwells from a few mechanical time constants to a fifth of the recording.
+    """Random steps of voltage and load; dwells from a few mechanical time constants to a fifth of the
+    recording.
 
-    One dwell in eight is a standstill with the terminals shorted, so every longer cycle holds hot restarts. A cycle in
-    five holds its voltage, one in five its load.
+    One dwell in eight is a standstill with the terminals shorted, so every longer cycle holds hot restarts. A
+    cycle in five holds its voltage, one in five its load. `warm`: whether it starts at a random temperature.
     """
+
+    warm: bool = False
 
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
         """What to do to this motor."""
@@ -51,7 +53,7 @@ class TrainingDuty(Scenario):
         if rng.random() < 0.2:
             loads[:] = loads[0]
         ambient = rng.uniform(0.0, 40.0)
-        warm = rng.uniform(0.0, 1.2 * plate.rise_K) if rng.random() < WARM_SHARE else 0.0
+        warm = rng.uniform(0.0, 1.2 * plate.rise_K) if self.warm else 0.0
         inputs = Inputs(
             time, steps(time, at, levels), steps(time, load_at, loads), np.full_like(time, ambient), held=True
         )
@@ -59,17 +61,25 @@ class TrainingDuty(Scenario):
 
 
 def duty_cycle(
-    file: MotorFile, noise: Noise, rate_Hz: float, longest_s: float, rng: np.random.Generator
+    file: MotorFile,
+    noise: Noise,
+    rate_Hz: float,
+    longest_s: float,
+    rng: np.random.Generator,
+    unknown_history: bool = False,
 ) -> Recording:
-    """One cycle of random length (to `longest_s`, spread evenly in its logarithm), true but for noisy voltage and current.
+    """One cycle of random length (to `longest_s`, spread evenly in its logarithm), true but for noisy voltage
+    and current.
 
-    Long cycles are sampled more slowly than `rate_Hz`, to at most a million rows and down to a quarter of the rate.
+    Long cycles are sampled more slowly than `rate_Hz`, to at most a million rows and down to a quarter of the
+    rate. With `unknown_history` the motor starts at a random temperature, and in one case of two is running
+    when the recording begins.
     """
     pace = time_constants(file.motor)
     duration = float(np.exp(rng.uniform(np.log(1000 * pace.mechanical_s), np.log(longest_s))))
     rate = float(np.clip(1e6 / duration, rate_Hz / 4, rate_Hz))
-    truth = perform(file, TrainingDuty(duration, 1 / rate), rng)
-    if rng.random() < LATE_SHARE:
+    truth = perform(file, TrainingDuty(duration, 1 / rate, unknown_history), rng)
+    if unknown_history and rng.random() < 0.5:
         truth = truth.part(slice(int(rng.uniform(0.1, 0.6) * len(truth)), None))
         truth = replace(truth, time_s=truth.time_s - truth.time_s[0])
     return with_noise(truth, noise, rng)
@@ -84,7 +94,8 @@ def with_noise(truth: Recording, noise: Noise, rng: np.random.Generator) -> Reco
 
 
 def instants(recording: Recording, count: int, noise: Noise, rng: np.random.Generator) -> np.ndarray:
-    """Which rows of a cycle to train on: half spread evenly at random, half close behind the start and voltage steps.
+    """Which rows of a cycle to train on: half spread evenly at random, half close behind the start and
+    voltage steps.
 
     Returns:
         At most `count` ascending row numbers.
@@ -101,22 +112,6 @@ def instants(recording: Recording, count: int, noise: Noise, rng: np.random.Gene
     )
     near = rng.choice(starts, count // 2) + behind
     return np.unique(np.concatenate([rng.integers(0, rows, count - count // 2), near[near < rows]]))
-
-
-def cycles(
-    file: MotorFile,
-    noise: Noise,
-    rate_Hz: float,
-    longest_s: float,
-    seeds: list[list[int]],
-    done: Callable[[int], None],
-) -> list[Recording]:
-    """One cycle a seed; `done` is told how many there are so far."""
-    made = []
-    for seed in seeds:
-        made.append(duty_cycle(file, noise, rate_Hz, longest_s, np.random.default_rng(seed)))
-        done(len(made))
-    return made
 
 
 def _instants(duration_s: float, shortest_s: float, rng: np.random.Generator) -> Array:

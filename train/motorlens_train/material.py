@@ -1,7 +1,7 @@
 """What a training command works on: cycles to train, calibrate and test on, and the recipe that suits them."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,13 @@ from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.scenario import parse_noise, time_constants
 from motorlens_runtime.errors import DataError
+from motorlens_train.baselines.calibration import calibrated
+from motorlens_train.baselines.extended_kalman import noise_of as noise_found
 from motorlens_train.build import Recipe
 from motorlens_train.data import Cycle, cycle
 from motorlens_train.duty_cycles import Noise, duty_cycle, instants
 from motorlens_train.features import motor_bank, recording_bank
+from motorlens_train.observer import ObserverSettings, with_observer
 from motorlens_train.specification import Array, Bank, Rate
 from motorlens_train.trainer import Settings
 
@@ -25,13 +28,17 @@ LONGEST_S = 7200.0
 
 @dataclass(frozen=True)
 class Material:
-    """Cycles by purpose, never shared between purposes; `origin` says in words where they come from."""
+    """Cycles by purpose, never shared between purposes.
+
+    `origin` says in words where they come from; `cases` are further cycles, by title, on which errors are measured.
+    """
 
     recipe: Recipe
     training: tuple[Cycle, ...]
     calibration: tuple[Cycle, ...]
     unseen: tuple[Cycle, ...]
     origin: str
+    cases: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
 
 
 def from_motor(
@@ -44,8 +51,11 @@ def from_motor(
     hidden: tuple[int, ...] | None,
     iterations: int,
     done: Callable[[int], None] = lambda count: None,
+    observed: MotorFile | None = None,
 ) -> Material:
     """Simulated duty cycles of a motor: three fifths to train on, one fifth each to calibrate and to test.
+
+    With `observed`, a physics observer of that motor runs inside the sensor.
 
     Raises:
         DataError, ModelError: the motor file or an argument is at fault.
@@ -55,28 +65,39 @@ def from_motor(
     file = read_motor_file(path)
     deviations = noise_of(file, noise)
     bank = bank_of(file)
-    made = []
-    for number in range(cycles):
-        made.append(simulated(file, bank, deviations, rate_Hz, [seed, number]))
-        done(number + 1)
     fifth = cycles // 5
+    made = []
+    for number in range(cycles + fifth):
+        made.append(
+            simulated(file, bank, deviations, rate_Hz, [seed, number], unknown_history=number >= cycles)
+        )
+        done(number + 1)
     recipe = Recipe(
         name, bank, OUTPUTS, hidden or (12, 8), Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz),
         5 * time_constants(file.motor).mechanical_s, seed, Settings(iterations=iterations),
     )  # fmt: skip
     origin = (
-        f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load, ambient and start temperature, "
-        f"up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and {deviations.current_A:.3g} A a sample"
+        f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load and ambient, hot restarts, starts "
+        f"from ambient temperature, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
+        f"{deviations.current_A:.3g} A a sample"
     )
+    cases = {"started warm or switched on late, unknown to the sensor": tuple(made[cycles:])}
     return Material(
-        recipe, tuple(made[2 * fifth :]), tuple(made[:fifth]), tuple(made[fifth : 2 * fifth]), origin
+        recipe,
+        tuple(made[2 * fifth : cycles]),
+        tuple(made[:fifth]),
+        tuple(made[fifth : 2 * fifth]),
+        origin,
+        cases,
     )
 
 
-def simulated(file: MotorFile, bank: Bank, noise: Noise, rate_Hz: float, seed: list[int]) -> Cycle:
+def simulated(
+    file: MotorFile, bank: Bank, noise: Noise, rate_Hz: float, seed: list[int], unknown_history: bool = False
+) -> Cycle:
     """One simulated cycle with the rows to train on."""
     rng = np.random.default_rng(seed)
-    recording = duty_cycle(file, noise, rate_Hz, LONGEST_S, rng)
+    recording = duty_cycle(file, noise, rate_Hz, LONGEST_S, rng, unknown_history)
     return cycle(recording, bank, OUTPUTS, instants(recording, ROWS, noise, rng))
 
 
@@ -99,8 +120,11 @@ def from_recordings(
     seed: int,
     hidden: tuple[int, ...] | None,
     iterations: int,
+    observed: MotorFile | None = None,
 ) -> Material:
     """Measured runs; the targets that all of them hold are promised. With six or more, every fifth is kept for calibration.
+
+    With `observed`, a physics observer of that motor, its textbook parameters fitted to the runs, works inside the sensor.
 
     Raises:
         DataError: no target is measured in all of them, or current is missing.
@@ -124,12 +148,16 @@ def from_recordings(
     period = float(np.median([r.period_s for r in recordings]))
     resistance, inductance = electrical(recordings)
     bank = recording_bank(resistance, inductance, period, max(r.duration_s for r in recordings), ambient)
+    if observed is not None:
+        voltage_sd, current_sd = noise_found(recordings, observed.rated)
+        settings = ObserverSettings(voltage_sd=voltage_sd, current_sd=current_sd)
+        bank = with_observer(bank, calibrated(observed, recordings), settings)
     kept = [cycle(r, bank, outputs) for r in recordings]
     held = tuple(kept[::5]) if len(kept) >= 6 else ()
     training = tuple(c for c in kept if c not in held) if held else tuple(kept)
     rate = Rate(1 / period, 0.5 / period, 2 / period)
-    settings = Settings(iterations=iterations, time_series=True, single=False, ridge=1.0)
-    recipe = Recipe(name, bank, outputs, hidden or (4,), rate, 20 * period, seed, settings)
+    training_settings = Settings(iterations=iterations, time_series=True, single=False, ridge=1.0)
+    recipe = Recipe(name, bank, outputs, hidden or (4,), rate, 20 * period, seed, training_settings)
     return Material(
         recipe, training, held, (), f"{len(training)} recordings: {', '.join(c.name for c in training)}"
     )

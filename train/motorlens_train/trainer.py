@@ -23,7 +23,6 @@ import torch
 from torch import Tensor
 
 from motorlens_train.cascade import Architecture, Network, initial
-from motorlens_train.checkpoint import load_checkpoint, save_checkpoint
 from motorlens_train.evidence import (
     Evidence,
     Hyperparameters,
@@ -36,6 +35,7 @@ from motorlens_train.gauss_newton import Columns, OutputMoments, curvature, outp
 from motorlens_train.levenberg_marquardt import Batch, Point, locate, settle, step
 from motorlens_train.scaling import Scaling, Whitening
 from motorlens_train.source import Block, Source
+from motorlens_train.state import Record, State, load_checkpoint, save_checkpoint
 
 # Rows per product: large enough for the processor's matrix units, small enough for its cache.
 CHUNK = 4096
@@ -65,28 +65,6 @@ class Settings:
     time_series: bool = False
     single: bool = True
     ridge: float = 1e-8
-
-
-@dataclass(frozen=True)
-class Record:
-    """One iteration of the training report; lists have one entry an output or a layer.
-
-    Errors are root mean squares as a share of the targets' standard deviation.
-    """
-
-    iteration: int
-    stage: int
-    rows: int
-    accepted: bool
-    objective: float
-    error: list[float]
-    validation: list[float] | None
-    gamma: float
-    log_evidence: float
-    alpha: list[float]
-    beta: list[float]
-    tau: list[float]
-    damping: float
 
 
 @dataclass(frozen=True)
@@ -129,22 +107,6 @@ class Trained:
         }
 
 
-@dataclass(frozen=True)
-class State:
-    """Everything that training needs to go on; what a checkpoint holds."""
-
-    hidden: Tensor
-    hyper: Hyperparameters
-    damping: float
-    stage: int
-    iteration: int
-    quiet: int  # consecutive iterations with little progress
-    best: Tensor  # hidden weights with the lowest validation error
-    best_error: float
-    since_best: int
-    history: tuple[Record, ...]
-
-
 def train(
     source: Source,
     architecture: Architecture,
@@ -170,7 +132,7 @@ def train(
     run = _Run(source, architecture, seed, settings, validation, inputs, targets)
     state = run.start()
     if checkpoint is not None and checkpoint.exists():
-        state = load_checkpoint(checkpoint, State, Record)
+        state = load_checkpoint(checkpoint)
     point: Point | None = None
     stopped = "no progress left"
     try:
@@ -200,7 +162,7 @@ class _Run:
     def start(self) -> State:
         hidden = initial(self.architecture, np.random.default_rng([self.seed, 1]))
         hyper = Hyperparameters.start(self.architecture)
-        return State(hidden, hyper, 1.0, 0, 0, 0, hidden, float("inf"), 0, ())
+        return State(hidden, hyper, 1.0, 0, 0, 0, hidden, hyper, float("inf"), 0, ())
 
     def iterate(self, state: State, point: Point | None) -> tuple[State, Point | None, str]:
         """One iteration; returns the reason to stop, or an empty string."""
@@ -234,15 +196,16 @@ class _Run:
         return state, after, "no damping leads downhill" if stuck else "converged"
 
     def finish(self, state: State, stopped: str) -> Trained:
-        hidden = state.best if self.validation is not None else state.hidden
+        best = self.validation is not None
+        hidden, hyper = (state.best, state.best_hyper) if best else (state.hidden, state.hyper)
         batch = Batch(lambda: self._columns(self.source.blocks(CHUNK), torch.float64), self.source.rows)
-        point = locate(self.architecture, hidden, state.hyper, batch)
-        found = self._evidence(point, state.hyper, self._part(batch, torch.float64))
+        point = locate(self.architecture, hidden, hyper, batch)
+        found = self._evidence(point, hyper, self._part(batch, torch.float64))
         return Trained(
             point.network,
             self.inputs,
             self.targets,
-            state.hyper,
+            hyper,
             found,
             point.moments,
             state.history,
@@ -326,8 +289,8 @@ class _Run:
             point.objective,
             error.tolist(),
             None if unseen is None else unseen.tolist(),
-            float(found.gamma.sum()) if found else (last.gamma if last else float("nan")),
-            found.log_evidence if found else (last.log_evidence if last else float("nan")),
+            float(found.gamma.sum()) if found else (last.gamma if last else None),
+            found.log_evidence if found else (last.log_evidence if last else None),
             hyper.alpha.tolist(),
             hyper.beta.tolist(),
             hyper.tau.tolist(),
@@ -343,6 +306,7 @@ class _Run:
             damping=damping,
             iteration=state.iteration + 1,
             best=hidden if better else state.best,
+            best_hyper=hyper if better else state.best_hyper,
             best_error=min(total, state.best_error),
             since_best=0 if better else state.since_best + 1,
             history=(*state.history, record),

@@ -4,7 +4,7 @@ examples:
   motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
   motorlens train --recordings run1.csv run2.csv --column speed=wL_rad_s -o mine.onnx
 
-From a motor file, duty cycles are simulated with random voltage, load, ambient and start temperature. From recordings, the
+From a motor file, duty cycles are simulated with random voltage, load and ambient. From recordings, the
 targets that were measured (speed, temperature, resistance) decide what the sensor promises. Beside OUT.onnx stand
 OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card with the errors on duty cycles not trained on.
 """
@@ -18,6 +18,9 @@ from motorlens_runtime.cli import add_json_argument, write_json
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motor", metavar="MOTOR.toml", help="train on simulated duty cycles of this motor")
     parser.add_argument("--recordings", nargs="+", default=[], metavar="REC", help="train on measured runs")
+    parser.add_argument(
+        "--observer", metavar="MOTOR.toml", help="run a physics observer of this motor inside the sensor"
+    )
     parser.add_argument("-o", "--output", required=True, metavar="SENSOR.onnx", help="where the sensor goes")
     parser.add_argument("--column", action="append", default=[], metavar="QUANTITY=NAME",
                         help="which column holds a quantity, e.g. speed=wL_rad_s; repeatable")  # fmt: skip
@@ -25,11 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--hidden", metavar="N-M", help="widths of the hidden layers, e.g. 12-8 (default: by data)"
     )
     parser.add_argument(
-        "--cycles", type=int, default=160, metavar="N", help="simulated duty cycles (default: 160)"
+        "--cycles", type=int, default=120, metavar="N", help="simulated duty cycles (default: 120)"
     )
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the simulated sensor")
     parser.add_argument("--noise", action="append", default=[], metavar="SD",
-                        help="CHANNEL=SD in its unit or in %% of the rating plate (default: voltage 0.2%%, current 0.7%%)")  # fmt: skip
+                        help="CHANNEL=SD, in its unit or %% of rated (default: voltage 0.2%%, current 0.7%%)")  # fmt: skip
     parser.add_argument("--iterations", type=int, default=120, metavar="N", help="at most (default: 120)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (default: 1)")
     parser.add_argument("--checkpoint", metavar="FILE", help="write training's state here, and go on from it")
@@ -37,9 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from motorlens_physics.motor_file import read_motor_file
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
-    from motorlens_train.build import build, golden
+    from motorlens_train.build import build, golden, measured
     from motorlens_train.card import write_card
     from motorlens_train.commands.parse import hidden_layers
     from motorlens_train.export import write_sensor
@@ -50,12 +54,13 @@ def run(arguments: argparse.Namespace) -> int:
     output = Path(arguments.output)
     if output.suffix != ".onnx":
         raise DataError(f"-o {output}: a sensor file ends in .onnx")
+    observed = read_motor_file(arguments.observer) if arguments.observer else None
     hidden = hidden_layers(arguments.hidden) if arguments.hidden else None
-    with Progress(arguments.cycles, "simulating") as progress:
+    with Progress(1.2 * arguments.cycles, "simulating") as progress:
         if arguments.motor:
             material = from_motor(
                 Path(arguments.motor), output.stem, arguments.cycles, arguments.rate, arguments.noise, arguments.seed,
-                hidden, arguments.iterations, progress.update,
+                hidden, arguments.iterations, progress.update, observed,
             )  # fmt: skip
         else:
             material = from_recordings(
@@ -65,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
                 arguments.seed,
                 hidden,
                 arguments.iterations,
+                observed,
             )
     with Progress(arguments.iterations, "training") as progress:
         built = build(
@@ -72,7 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
             lambda record: progress.update(record.iteration + 1, f"error {max(record.error):.3g}"),
             Path(arguments.checkpoint) if arguments.checkpoint else None,
         )  # fmt: skip
-    card = built.card | {"trained_on": material.origin}
+    cases = {title: measured(built.sensor, cycles) for title, cycles in material.cases.items()}
+    card = built.card | {"trained_on": material.origin, "cases": cases}
     write_sensor(built.sensor, card, golden(built.sensor), output)
     write_card(built, card, material, output.with_suffix(".md"))
     print(
@@ -81,9 +88,8 @@ def run(arguments: argparse.Namespace) -> int:
     for name, figures in (card["unseen"] or card["training"]).items():
         unit = next(o.unit for o in built.sensor.specification.outputs if o.name == name)
         where = "unseen duty cycles" if card["unseen"] else "the training recordings"
-        print(
-            f"  {name}: rmse {figures['rmse']:.4g} {unit} on {where}, 95 % interval covers {100 * figures['coverage_95']:.1f} %"
-        )
+        covered = f"95 % interval covers {100 * figures['coverage_95']:.1f} %"
+        print(f"  {name}: rmse {figures['rmse']:.4g} {unit} on {where}, {covered}")
     write_json({"schema": "motorlens.train/1", "sensor": str(output), "card": card, "report": built.trained.report()},
                arguments.json)  # fmt: skip
     return 0
