@@ -23,7 +23,7 @@ class FanCoolingExponent(Effect):
     -29.8
     """
 
-    excited_by: ClassVar[tuple[str, ...]] = ("duty", "heat_soak")
+    excited_by: ClassVar[tuple[str, ...]] = ("heat_soak", "duty")
 
     n: float = param(1.0, "1", "exponent of speed", bounds=(0.1, 3.0), prior=0.3, null=1.0)
     w_r: float = param(

@@ -19,7 +19,7 @@ class SupplyResistance(Effect):
     -0.75
     """
 
-    excited_by: ClassVar[tuple[str, ...]] = ("duty", "direct_on_line")
+    excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "duty")
 
     R_s: float = param(
         0.0,
