@@ -265,7 +265,8 @@ def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fi
         if name == winner or test.score is None:
             continue
         alike[name] = likeness(now.left, chosen, test)
-        if not test.allowed:
+        # Twins are as significant as each other; a column of scatter is not a rival however large its gain.
+        if not test.allowed or test.statistic < 0.3 * chosen.statistic and name not in refits:
             continue
         by_screen = chosen.score.gain - test.score.gain
         loss = total(refits[name]) - total(found) if name in refits else by_screen

@@ -29,6 +29,10 @@ REAL = 26.0
 WORTH = 1e-3
 
 
+# Times the typical size that an effect may plausibly have.
+PLAUSIBLE = 40.0
+
+
 @dataclass(frozen=True)
 class Test:
     """A candidate's best shape against what is left.
@@ -98,7 +102,10 @@ def _sized(candidate: Candidate, v: int, tested: Score | None, typical: float) -
     low, high = switch.bounds
     # A hair beyond a bound is noise, not a wrong sign.
     slack = 2 * abs(typical) * float(np.sqrt(tested.covariance[0, 0]))
-    return Test(candidate, v, tested, size, low - slack <= switch.null + size <= high + slack, typical)
+    within = low - slack <= switch.null + size <= high + slack
+    # A size far beyond what such an effect can have is the mark of a column that hardly differs from a base parameter's.
+    plausible = abs(size) < PLAUSIBLE * abs(typical) + slack
+    return Test(candidate, v, tested, size, within and plausible, typical)
 
 
 def rivals(left: Evidence, tests: dict[str, Test], best: Test, most: int = 5) -> list[Test]:

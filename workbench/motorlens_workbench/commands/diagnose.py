@@ -1,0 +1,62 @@
+"""Say what is missing from a motor file, given recordings.
+
+example:
+  motorlens diagnose bench1.csv bench2.csv --motor models/motors/mellah2016.toml --html diagnosis.html
+
+The base parameters are fitted along; every effect of the catalogue and every sensor fault is tested. The verdict is one of
+named, group (the recordings cannot tell between a few), sensor_fault, unknown (its shape is shown), adequate (nothing above
+the sizes listed) and not_testable. `motorlens add` puts an effect into the motor file.
+"""
+
+import argparse
+import shlex
+from pathlib import Path
+
+from motorlens_runtime.cli import add_json_argument, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings, CSV or Parquet")
+    parser.add_argument("--motor", required=True, metavar="MOTOR.toml", help="motor file")
+    parser.add_argument(
+        "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
+    )
+    parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
+    parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    import numpy as np
+    from motorlens_physics.effect import load_effects
+    from motorlens_physics.motor_file import read_motor_file
+    from motorlens_physics.recording import read_recording
+    from motorlens_workbench.diagnosis import investigate
+    from motorlens_workbench.diagnosis_json import to_json, to_text
+    from motorlens_workbench.experiments import propose
+    from motorlens_workbench.telling import teller
+    from motorlens_workbench.verdict import settle
+
+    own = load_effects(arguments.effects_from) if arguments.effects_from else {}
+    file = read_motor_file(arguments.motor, own.values())
+    recordings = [read_recording(path, arguments.column) for path in arguments.recordings]
+    say = teller("diagnose")
+    found = investigate(file, recordings, tuple(own.values()), say)
+    verdict = settle(found)
+    if any(len(group) > 1 for group in verdict.groups):
+        say("looking for the test that tells the group apart")
+    experiment = propose(found, verdict, np.random.default_rng(0))
+    document = to_json(found, verdict, experiment, arguments.recordings, arguments.motor)
+    if arguments.json != "-":
+        for recording in recordings:
+            for note in recording.notes:
+                print(f"{recording.name}: {note}")
+        print(to_text(document))
+    write_json(document, arguments.json)
+    if arguments.html:
+        from motorlens_workbench.diagnosis_page import to_html
+
+        words = ["motorlens", "diagnose", *arguments.recordings, "--motor", arguments.motor]
+        words += [word for column in arguments.column for word in ("--column", column)]
+        Path(arguments.html).write_text(to_html(found, verdict, document, shlex.join(words)), encoding="utf-8")
+    return 0

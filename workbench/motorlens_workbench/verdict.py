@@ -1,0 +1,218 @@
+"""From a finding to a verdict: what is missing, how sure that is, and what the recordings cannot tell.
+
+An effect is named only if nothing else explains the same as well (else a group), and if nothing is left that a free curve
+would explain much better (else it is unknown, and the shape of what is missing is shown).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_workbench.candidates import EQUATIONS, UNITS
+from motorlens_workbench.diagnosis import Bend, Finding, Look, Step
+from motorlens_workbench.evidence import Evidence
+from motorlens_workbench.screen import layout
+from motorlens_workbench.selection import REAL, WORTH, Test
+
+Array = NDArray[np.float64]
+
+# A rival whose loss (2 log likelihood over inflation) is below this cannot be told apart.
+TOLD_APART = 14.0
+# Share of the accepted gain by which rivals may differ through what the model leaves out (noise on inputs, discretisation).
+IMPERFECT = 0.004
+# Two columns as alike as this are one.
+SAME = 0.9995
+GROUP = 6
+# A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
+BETTER = 0.15
+# Standard deviations beyond chance at which a free curve counts.
+BENT = 8.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer.
+
+    Attributes:
+        kind: "named", "group", "unknown", "sensor_fault", "adequate" or "not_testable".
+        chosen: effects and sensor faults accepted.
+        groups: for each of them, all that the recordings cannot tell from it, itself first.
+        equation: which balance fails; None where none does.
+        probability: of every candidate, that it is what is missing.
+        shape: the missing term as a free curve, for "unknown".
+        untold: what the recordings cannot tell, sentences.
+    """
+
+    kind: str
+    chosen: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    equation: str | None
+    probability: Mapping[str, float]
+    shape: Bend | None
+    untold: tuple[str, ...]
+
+
+def settle(found: Finding) -> Verdict:
+    """Decide."""
+    groups = tuple(group_of(step) for step in found.steps)
+    chosen = tuple(step.test.candidate.name for step in found.steps)
+    bend = structure(found)
+    probability = probabilities(found, unknown=bend is not None)
+    untold = tuple(limits(found))
+    if bend is not None:
+        shape = strongest(found.first) or bend
+        return Verdict("unknown", (), (), EQUATIONS[shape.curve.balance], probability, shape, untold)
+    if not chosen:
+        blind = not any(_detectable(found.last, test) for test in found.last.tests.values())
+        return Verdict("not_testable" if blind else "adequate", (), (), None, probability, None, untold)
+    first = found.steps[0].test.candidate
+    if any(len(group) > 1 for group in groups):
+        kind = "group"
+    elif all(step.test.candidate.kind == "sensor" for step in found.steps):
+        kind = "sensor_fault"
+    else:
+        kind = "named"
+    return Verdict(kind, chosen, groups, first.equation, probability, None, untold)
+
+
+def group_of(step: Step) -> tuple[str, ...]:
+    """What the recordings cannot tell from an accepted effect, itself first, the likelier before the less likely."""
+    winner = step.test.candidate.name
+    assert step.test.score is not None
+    limit = TOLD_APART + IMPERFECT * step.gain / step.test.score.inflation
+    near = {
+        name: loss
+        for name, loss in step.losses.items()
+        if name != winner and (loss < limit or step.alike.get(name, 0.0) > SAME)
+    }
+    return (winner, *sorted(near, key=lambda name: near[name]))[:GROUP]
+
+
+def structure(found: Finding) -> Bend | None:
+    """The free curve that shows that something unnamed is left; None if what is left is noise."""
+    best = strongest(found.last)
+    if best is None:
+        return None
+    gain = sum(step.gain for step in found.steps)
+    return best if best.gain > max(WORTH * found.last.samples, BETTER * gain) else None
+
+
+def strongest(now: Look) -> Bend | None:
+    """The free curve that explains most, if any is beyond chance."""
+    real = [bend for bend in now.bends if bend.deviations > BENT and bend.gain > 2 * REAL]
+    return max(real, key=lambda bend: bend.gain, default=None)
+
+
+def probabilities(found: Finding, unknown: bool) -> dict[str, float]:
+    """Of every candidate that it is (one of) what is missing; those of one step share what the step is worth."""
+    stated = {name: 0.0 for name in found.first.tests}
+    for step in found.steps:
+        assert step.test.score is not None
+        limit = 2.0 + IMPERFECT * step.gain / step.test.score.inflation / 4
+        weights = {name: float(np.exp(-0.5 * loss / limit)) for name, loss in step.losses.items()}
+        for name, alike in step.alike.items():
+            if alike > SAME and name in weights:
+                weights[name] = max(weights[name], 0.8)
+        real = 1 - min(1.0, step.test.score.p * len(found.first.tests))
+        for name, weight in weights.items():
+            stated[name] = max(stated.get(name, 0.0), real * weight / sum(weights.values()))
+    doubt = 0.1 if unknown else 0.97
+    return {name: doubt * p for name, p in stated.items()}
+
+
+def _detectable(now: Look, test: Test) -> bool:
+    """Whether three times the typical size would have been seen."""
+    return test.detectable(now.samples) < 3 * abs(test.typical)
+
+
+def limits(found: Finding) -> list[str]:
+    """What the recordings cannot tell, in words."""
+    said = []
+    channels = {channel for run in found.runs for channel in run.channels}
+    known = {quantity for run in found.runs for quantity in run.known}
+    if "temperature" not in channels:
+        said.append("Temperature was not measured: the thermal equation is not tested, and the winding's resistance drifts freely.")
+    if "current" not in channels:
+        said.append("Current was not measured: a voltage drop and a friction torque can look alike.")
+    if "speed" not in channels:
+        said.append("Speed was not measured: mechanical effects are seen only through the current.")
+    if "load_torque" not in known:
+        said.append("The load torque was not measured: it is taken as constant, and a load that brakes like friction passes for friction.")
+    if "ambient" not in known and "temperature" in channels:
+        said.append("The ambient temperature was not measured: an offset of the temperature sensor cannot be told from it.")
+    blind = [name for name, test in found.last.tests.items() if not _detectable(found.last, test)]
+    if blind:
+        said.append("Not even three times the typical size would have been seen of: " + ", ".join(sorted(blind)) + ".")
+    for name in found.failed:
+        said.append(f"The screen points at {name}, but the model fitted with it does not follow: it stands for something else.")
+    return said
+
+
+def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
+    """Parameters of an accepted effect with standard deviation and unit; of another candidate what the screen says."""
+    for step in found.steps:
+        if step.test.candidate.name != name:
+            continue
+        last = found.last.found
+        spread = last.sd()
+        score = step.test.score
+        assert score is not None
+        values = last.model.file.values()
+        return {
+            key.rpartition(".")[2]: {
+                "value": values[key],
+                "sd": spread.get(key, 0.0) * float(np.sqrt(score.inflation)),
+                "unit": last.model.file.meaning(key).unit,
+            }
+            for key in values
+            if key.startswith(f"{name}.") and key in spread
+        }
+    test = found.first.tests.get(name) or found.last.tests.get(name)
+    if test is None or test.score is None:
+        return {}
+    switch = test.candidate.variants[test.variant][0].switch()
+    assert switch is not None and switch.null is not None
+    sd = abs(test.typical) * float(np.sqrt(test.score.covariance[0, 0]))
+    return {switch.name: {"value": switch.null + test.size, "sd": sd, "unit": switch.unit}}
+
+
+def held_out(now: Look, found: Finding, folds: int = 6) -> dict[str, float]:
+    """RMSE of each channel on blocks of time that the parameters were not fitted to, blocks of each fold spread evenly.
+
+    The fitted parameters are solved again, linearised, without each fold in turn.
+    """
+    keys = now.found.prior.keys
+    blocks = layout(found.runs, now.found.whiteners)
+    squares: dict[str, list[float]] = {}
+    for fold in range(folds):
+        kept = np.array([k % folds != fold for k in range(len(blocks))] + [True] * (len(now.evidence.blocks) - len(blocks)))
+        part = Evidence(now.evidence.names, now.evidence.blocks[kept], now.evidence.samples[kept], now.evidence.power)
+        move, _ = part.solve(keys)
+        for k, (r, rows) in enumerate(blocks):
+            if k % folds != fold:
+                continue
+            one, run = now.columns[r], found.runs[r]
+            error = one.residual[rows] - one.values[rows][:, :, : len(keys)] @ move
+            good = error[run.fresh()[rows]]
+            for c, channel in enumerate(run.channels):
+                squares.setdefault(channel, []).extend((good[:, c] ** 2).tolist())
+    return {channel: float(np.sqrt(np.mean(values))) for channel, values in squares.items()}
+
+
+def noise_floor(now: Look, found: Finding) -> dict[str, float]:
+    """Standard deviation of what nothing explains, per channel, over all runs."""
+    squares: dict[str, list[tuple[float, int]]] = {}
+    for noise, run in zip(now.noise, found.runs, strict=True):
+        for c, channel in enumerate(run.channels):
+            squares.setdefault(channel, []).append((float(noise[c] ** 2), len(run)))
+    return {
+        channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
+        for channel, parts in squares.items()
+    }
+
+
+def unit_of(bend: Bend) -> str:
+    """Unit of a free curve."""
+    return UNITS[bend.curve.balance]
