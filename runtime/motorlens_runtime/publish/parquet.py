@@ -1,24 +1,62 @@
 """`parquet:FILE`: the columns of `csv` in full precision, in row groups. Needs the `publish` extra.
 
-A Parquet file is readable only once its end is written; a recorder that may be killed should write CSV.
+A Parquet file is readable only once its end is written. A recorder that may be killed writes a folder, `parquet:FOLDER/`:
+parts of `rows=65536` rows, see `parquet_folder`.
 """
 
+from pathlib import Path
 from urllib.parse import SplitResult
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.publish import Header, file_of, options_of
+from motorlens_runtime.parquet_folder import ParquetFolder
+from motorlens_runtime.publish import Header, Publisher, file_of, options_of
 
 _ROWS_PER_GROUP = 1 << 16
 
 
-def open_url(url: SplitResult, header: Header) -> "ParquetPublisher":
-    """See `publish`. An existing file is replaced."""
-    options_of(url)
-    return ParquetPublisher(file_of(url), header)
+def open_url(url: SplitResult, header: Header) -> Publisher:
+    """See `publish`. An existing file is replaced, an existing folder added to."""
+    path = file_of(url)
+    if not path.endswith("/"):
+        options_of(url)
+        return ParquetPublisher(path, header)
+    rows = options_of(url, rows=65536.0)["rows"]
+    if not 1 <= rows <= 1e7:
+        raise DataError(f"{url.geturl()}: rows={rows:g}; from 1 to ten million")
+    return ParquetFolderPublisher(Path(path), header, int(rows))
+
+
+def _about(header: Header) -> dict[str, str]:
+    return {
+        "motorlens.sensor": header.sensor,
+        "motorlens.version": header.version,
+        "motorlens.sha256": header.digest,
+    }
+
+
+class ParquetFolderPublisher:
+    """Writes to a folder by its name."""
+
+    def __init__(self, folder: Path, header: Header, rows_per_part: int) -> None:
+        headings = [name for output in header.outputs for name in (output.heading, output.sd_heading)]
+        self._folder = ParquetFolder(folder, headings, _about(header), rows_per_part)
+
+    def publish(self, estimates: Estimates) -> None:
+        """Append the rows to the journal."""
+        self._folder.write(estimates)
+
+    def flush(self) -> None:
+        """Make what was written outlive this process."""
+        self._folder.flush()
+
+    def close(self) -> None:
+        """Finish the last part."""
+        self._folder.close()
 
 
 class ParquetPublisher:
@@ -31,12 +69,7 @@ class ParquetPublisher:
             *((name, pa.float64()) for name in headings),
             ("quality", pa.uint32()),
         ]
-        about = {
-            "motorlens.sensor": header.sensor,
-            "motorlens.version": header.version,
-            "motorlens.sha256": header.digest,
-        }
-        self._schema = pa.schema(fields, metadata=about)
+        self._schema = pa.schema(fields, metadata=_about(header))
         # Noise does not repeat: a dictionary per column only costs time.
         self._writer = pq.ParquetWriter(path, self._schema, use_dictionary=["quality"], compression="lz4")
         self._waiting: list[Estimates] = []
