@@ -94,7 +94,7 @@ def parameter_unknowns(file: MotorFile, free: Sequence[str]) -> list[Unknown]:
         if known is not None and known.sd:
             sd = known.sd / value if log else known.sd
         else:
-            sd = LOG_PRIOR if log else max(meaning.typical(file.rated), 1e-12)
+            sd = LOG_PRIOR if log else meaning.sd(file.rated)
         unknowns.append(Unknown(key, None, None, value, sd, log, meaning.bounds))
     return unknowns
 

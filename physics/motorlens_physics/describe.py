@@ -101,7 +101,7 @@ def size(parameter: Parameter, rated: Rated) -> str:
     """The typical size of a parameter for a plate, such as "0.19 N*m" or "1 +- 0.03" around a null that is not zero."""
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     if parameter.null:
-        return f"{parameter.null:g} +- {parameter.prior * rated.scale(parameter.of):.3g}{unit}"
+        return f"{parameter.null:g} +- {parameter.sd(rated):.3g}{unit}"
     return f"{parameter.typical(rated):.3g}{unit}"
 
 

@@ -45,9 +45,13 @@ class Parameter:
         A switch is typically one prior away from its null; a shape is what the plate makes it, or its default where
         its prior is an absolute figure.
         """
-        size = self.prior * rated.scale(self.of)
+        size = self.sd(rated)
         value = size + self.null if self.null is not None else self.default if self.of == "1" else size
         return min(max(value, self.bounds[0]), self.bounds[1])
+
+    def sd(self, rated: "Rated") -> float:
+        """The standard deviation of what is known before any measurement, in `unit`, for a motor of this plate."""
+        return self.prior * rated.scale(self.of)
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ def parse_noise(arguments: Sequence[str], plate: Rated) -> dict[str, float]:
 
 def grid(duration_s: float, period_s: float, start_s: float = 0.0) -> Array:
     """Evenly spaced times from `start_s`, both ends included."""
-    return start_s + period_s * np.arange(round(duration_s / period_s) + 1)
+    return np.asarray(start_s + period_s * np.arange(round(duration_s / period_s) + 1), dtype=np.float64)
 
 
 def constant(time_s: Array, voltage_V: float, load_torque_Nm: float, ambient_C: float) -> Inputs:

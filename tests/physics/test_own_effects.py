@@ -2,15 +2,18 @@
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.effect_contract import CONTRACT
 
+from motorlens_physics.calibration import calibrate
 from motorlens_physics.effect import catalogue, load_effects
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
+from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
@@ -111,6 +114,20 @@ def test_a_motor_file_holds_it(own, tmp_path):
     (tmp_path / "motor.toml").write_text(text, encoding="utf-8")
     file = read_motor_file(tmp_path / "motor.toml", load_effects(own).values())
     assert file.values()["cubic_drag.c"] == 1e-7
+
+
+def test_its_size_is_found_by_calibration(own):
+    file = read_motor_file(PAPER)
+    effect = load_effects(own)["cubic_drag"]
+    rng = np.random.default_rng(2)
+    truth = replace(file, motor=file.motor.with_effect(effect(c=2e-8)))
+    data = measure(
+        perform(truth, scenarios()["no_load_steps"](), rng), (), {"current": 0.02, "speed": 0.4}, rng
+    )
+    started = replace(file, motor=file.motor.with_effect(effect.at_null(file.rated)))
+    found = calibrate(started, [data], ["cubic_drag.c"], held=True)
+    assert found.converged
+    assert abs(found.value["cubic_drag.c"] - 2e-8) < 4 * found.sd["cubic_drag.c"] < 2e-9
 
 
 def test_it_travels_to_another_process(own):

@@ -5,8 +5,9 @@ example:
       --effect coulomb_friction.tau_c=0.3 --noise 0.5% --seed 1 -o recording.csv
 
 Scenarios: direct_on_line (the paper's run), duty (random voltage, load, ambient, start temperature), locked_rotor,
-coast_down, no_load_steps, load_steps, overhauling_load, slow_ramp, heat_soak. The recording holds time_s, voltage_V, current_A, speed_rad_s, temperature_C
-(of the winding), resistance_ohm, load_torque_Nm and ambient_C.
+coast_down, no_load_steps, load_steps, overhauling_load, slow_ramp, heat_soak.
+The recording holds time_s, voltage_V, current_A, speed_rad_s, temperature_C (of the winding), resistance_ohm,
+load_torque_Nm and ambient_C.
 """
 
 import argparse
