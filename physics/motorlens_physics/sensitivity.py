@@ -118,9 +118,9 @@ def sensitivities(
     trajectory, kept = _forward(
         motor, inputs, initial, keys, candidates, tolerance, smooth, np.empty((0, 0, 0))
     )
-    states = tuple(motor.states())
     return trajectory, {
-        key: {name: kept[:, r, j] for r, name in enumerate(states)} for j, key in enumerate(columns)
+        key: {name: kept[:, r, j] for r, name in enumerate(trajectory.states)}
+        for j, key in enumerate(columns)
     }
 
 
@@ -137,7 +137,7 @@ def _forward(
     system, code = structure(motor, candidates, forced=True)
     x = initial_states(replace(motor, effects=(*motor.effects, *candidates)), system, initial)
     n, samples = system.of_motor, inputs.time_s.size
-    own = list(motor.states())
+    own = list(system.states[:n])
     parameters = [key for key in keys if not key.startswith(INITIAL)]
     starts = [key for key in keys if key.startswith(INITIAL)]
     _check(motor, candidates, parameters, [key.removeprefix(INITIAL) for key in starts])

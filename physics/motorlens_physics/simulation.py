@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from motorlens_physics.compile import Compiled, compiled
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
-from motorlens_physics.symbols import System, parameter_values, trace
+from motorlens_physics.symbols import System, in_order, parameter_values, trace
 from motorlens_runtime.errors import DataError, ModelError
 
 Array = NDArray[np.float64]
@@ -215,9 +215,8 @@ def structure(
     motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = False
 ) -> tuple[System, Compiled]:
     """The symbols and the machine code of a motor's structure (see `trace`); parameter values do not matter."""
-    return _structure(
-        tuple(type(effect) for effect in motor.effects), tuple(type(effect) for effect in candidates), forced
-    )
+    own, further = (tuple(map(type, in_order(effects))) for effects in (motor.effects, candidates))
+    return _structure(own, further, forced)
 
 
 def cores() -> int:

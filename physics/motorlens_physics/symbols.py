@@ -8,7 +8,7 @@ effects, the symbols carry `side`: +1 or -1 for a rotor that turns, whose fricti
 (tanh(w / width + 20 side), which is `side` to the last bit), and 0 for the smooth form.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import SimpleNamespace
 from typing import Any
@@ -86,6 +86,7 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = Fal
         candidates: effects that the motor lacks.
         forced: whether to derive the forcings, of all parameters of the motor that are not fixed and all switches.
     """
+    motor, candidates = replace(motor, effects=in_order(motor.effects)), in_order(candidates)
     keys = parameter_keys(motor, candidates)
     symbol = {key: named(f"p_{k}") for k, key in enumerate(keys)}
     whole = _symbolic(replace(motor, effects=(*motor.effects, *candidates)), symbol)
@@ -116,6 +117,11 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = Fal
     return System(states, keys, tuple(balances), sp.sympify(stiction).subs(at_null), of_motor, forcings)
 
 
+def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Effects by name: the order in which they were added to a motor makes no other structure of it."""
+    return tuple(sorted(effects, key=lambda effect: effect.name()))
+
+
 def switch_key(effect: Effect) -> str:
     """The key of the parameter that switches an effect on."""
     return f"{effect.name()}.{effect.switch().name}"
@@ -124,20 +130,20 @@ def switch_key(effect: Effect) -> str:
 def forcing_keys(motor: Motor, candidates: Sequence[Effect] = ()) -> tuple[str, ...]:
     """What has sensitivities: parameters of the motor that are not fixed, offsets of inputs, candidates' switches."""
     own = [name for name, parameter in parameters(motor).items() if not parameter.fixed]
-    for effect in motor.effects:
+    for effect in in_order(motor.effects):
         own += [f"{effect.name()}.{name}" for name, p in effect.parameters().items() if not p.fixed]
-    return (*own, *INPUT_KEYS, *(switch_key(effect) for effect in candidates))
+    return (*own, *INPUT_KEYS, *(switch_key(effect) for effect in in_order(candidates)))
 
 
 def parameter_keys(motor: Motor, candidates: Sequence[Effect] = ()) -> tuple[str, ...]:
     """Keys of all parameters of a motor and further effects, in the order of `parameter_values`."""
-    parts = (*motor.effects, *candidates)
+    parts = (*in_order(motor.effects), *in_order(candidates))
     return (*parameters(motor), *(f"{part.name()}.{name}" for part in parts for name in part.parameters()))
 
 
 def parameter_values(motor: Motor, candidates: Sequence[Effect] = ()) -> list[float]:
     """The values that belong to `parameter_keys`."""
-    parts = (*motor.effects, *candidates)
+    parts = (*in_order(motor.effects), *in_order(candidates))
     return [getattr(part, name) for part in (motor, *parts) for name in parameters(part)]
 
 
