@@ -64,21 +64,25 @@ def from_motor(
         raise DataError(f"--cycles {cycles}: at least 10, so that there are some of each kind")
     file = read_motor_file(path)
     deviations = noise_of(file, noise)
-    bank = bank_of(file)
+    bank, starts = bank_of(file), "starts from ambient temperature"
+    if observed is not None:
+        settings = ObserverSettings(voltage_sd=deviations.voltage_V, current_sd=deviations.current_A)
+        bank = with_observer(bank, observed, settings)
+        starts = "every second one started warm or switched on late"
     fifth = cycles // 5
     made = []
     for number in range(cycles + fifth):
-        made.append(
-            simulated(file, bank, deviations, rate_Hz, [seed, number], unknown_history=number >= cycles)
-        )
+        # An observer reads the temperature off the inrush, so what it stands in may have any history.
+        unknown = number >= cycles or (observed is not None and number % 2 == 1)
+        made.append(simulated(file, bank, deviations, rate_Hz, [seed, number], unknown))
         done(number + 1)
     recipe = Recipe(
         name, bank, OUTPUTS, hidden or (12, 8), Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz),
         5 * time_constants(file.motor).mechanical_s, seed, Settings(iterations=iterations),
     )  # fmt: skip
     origin = (
-        f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load and ambient, hot restarts, starts "
-        f"from ambient temperature, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
+        f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load and ambient, hot restarts, "
+        f"{starts}, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
         f"{deviations.current_A:.3g} A a sample"
     )
     cases = {"started warm or switched on late, unknown to the sensor": tuple(made[cycles:])}
