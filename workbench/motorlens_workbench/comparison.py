@@ -242,6 +242,8 @@ def _removable(model: Model, overlays: Sequence[Overlay], names: Sequence[str]) 
         "thermal": motor.k0 * rated.rise_K,
     }
     free = curves([o.trajectory for o in overlays], [_BALANCE[name] for name in names])
+    if not free:
+        return {}
     owner = np.array(
         [name for curve in free for name in names if _BALANCE[name] == curve.balance for _ in curve.knots]
     )
