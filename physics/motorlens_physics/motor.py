@@ -11,9 +11,13 @@ the brake that belongs to it.
 from dataclasses import dataclass, replace
 from typing import Any
 
-from motorlens_physics.effect import Effect
+from motorlens_physics.effect import Effect, State
 from motorlens_physics.ops import turning
 from motorlens_physics.parameter import param
+from motorlens_runtime.errors import ModelError
+
+# Armature current (A), speed (rad/s), rise of the winding above ambient (K).
+TEXTBOOK_STATES = ("i", "w", "theta")
 
 
 @dataclass(frozen=True)
@@ -108,9 +112,19 @@ class Motor:
         return rates
 
     def states(self) -> dict[str, float]:
-        """Names of all states and where they start unless told otherwise: at rest, at ambient temperature."""
-        extra = {name: state.initial for effect in self.effects for name, state in effect.states.items()}
-        return {"i": 0.0, "w": 0.0, "theta": 0.0} | extra
+        """Names of all states and where they start unless told otherwise: at rest, at ambient temperature.
+
+        Raises:
+            ModelError: two effects use one name for different states.
+        """
+        extra: dict[str, State] = {}
+        for effect in self.effects:
+            for name, state in effect.states.items():
+                if name in TEXTBOOK_STATES or extra.setdefault(name, state) != state:
+                    raise ModelError(
+                        f"{effect.name()} brings a state {name!r} that means something else in this motor"
+                    )
+        return dict.fromkeys(TEXTBOOK_STATES, 0.0) | {name: state.initial for name, state in extra.items()}
 
     def effect(self, name: str) -> Effect | None:
         """The effect of that name, or None if the motor has it not."""

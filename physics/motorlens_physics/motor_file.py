@@ -123,7 +123,9 @@ def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ())
     for name in parts:
         effect = available[name]
         entries = _table(parts, name, where)
-        motor = motor.with_effect(effect(**_values(entries, effect.parameters(), where, name, known)))
+        given = _values(entries, effect.parameters(), where, name, known)
+        # What the file leaves open has the shape that fits the plate.
+        motor = motor.with_effect(replace(effect.at_null(plate), **given))
     models = sensor_models()
     faults = _table(document, "sensors", where)
     _known(faults, tuple(models), where, "sensors")

@@ -17,7 +17,7 @@ class Parameter:
 
     Attributes:
         name: the field's name, the symbol of its equation.
-        unit: in the spelling of `motorlens_physics.units`, such as "N*m" or "V*s/rad".
+        unit: as pint reads it, in SI without prefixes, such as "N*m" or "V*s/rad".
         description: one phrase.
         default: the value of a motor or an effect made without arguments.
         bounds: the physically possible values, both ends included.

@@ -5,6 +5,7 @@ of another shows.
 """
 
 import doctest
+import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -113,6 +114,10 @@ def shape(effect: type[Effect]) -> None:
 def reference(effect: type[Effect]) -> None:
     """The docstring cites something that can be found."""
     assert CITATION.search(effect.__doc__ or ""), "no DOI, ISBN, arXiv number or standard in the docstring"
+    for isbn in re.findall(r"ISBN ([\d-]+)", effect.__doc__ or ""):
+        digits = [int(digit) for digit in isbn if digit != "-"]
+        checksum = sum(digits[::2]) + 3 * sum(digits[1::2])
+        assert len(digits) == 13 and checksum % 10 == 0, f"ISBN {isbn} has a wrong digit"
 
 
 def worked_number(effect: type[Effect]) -> None:

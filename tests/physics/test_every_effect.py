@@ -132,6 +132,7 @@ FAULTS = {
     "an if": (drag(lambda e, m, x, u: -e.c * x.w**2 if x.w > 0 else e.c * x.w**2), "batches"),
     "a parameter forgotten": (drag(lambda e, m, x, u: -e.c * x.w * turning(x.w)), "present"),
     "no citation": (broken(Good, __doc__="A drag.\n\n    >>> 1 + 1\n    2\n    "), "reference"),
+    "a citation with a slip": (broken(Good, __doc__="A drag. ISBN 978-0-471-45728-3."), "reference"),
     "no number by hand": (broken(Good, __doc__="A drag. doi:10.1000/182."), "worked_number"),
     "heat from nothing": (broken(Good, heat=lambda e, m, x, u: 1.01 * e.c * x.w**3 * tanh(x.w / e.w_s)), "first_law"),
     "one face of ke": (broken(EFFECTS["armature_reaction"], voltage=lambda e, m, x, u: 0.0), "first_law"),

@@ -10,14 +10,17 @@ from helpers.effect_contract import MOTOR
 
 from motorlens_physics.effect import Effect, State
 from motorlens_physics.effects.brush_voltage_drop import BrushVoltageDrop
+from motorlens_physics.effects.cogging_torque import CoggingTorque
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.effects.friction_heat import FrictionHeat
 from motorlens_physics.effects.inductance_saturation import InductanceSaturation
 from motorlens_physics.effects.iron_loss_torque import IronLossTorque
 from motorlens_physics.effects.quadratic_drag import QuadraticDrag
 from motorlens_physics.effects.two_node_thermal import TwoNodeThermal
+from motorlens_physics.effects.unbalance_torque import UnbalanceTorque
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Rated, parameters
+from motorlens_runtime.errors import ModelError
 
 
 def at(**changes: float) -> At:
@@ -121,6 +124,19 @@ def test_states_start_where_their_effect_says():
             return {"theta_x": 0.0 * x.theta_x}
 
     assert MOTOR.with_effect(Warm()).states() == {"i": 0.0, "w": 0.0, "theta": 0.0, "theta_x": 12.5}
+
+
+def test_effects_may_share_the_shaft_angle_but_not_a_name():
+    both = MOTOR.with_effect(CoggingTorque(A=0.1)).with_effect(UnbalanceTorque(A=0.2))
+    assert list(both.states()) == ["i", "w", "theta", "phi"]
+    assert both.rates(At(i=0.0, w=3.0, theta=0.0, phi=0.5), at())["phi"] == 3.0
+
+    @dataclass(frozen=True)
+    class Other(Effect):
+        states: ClassVar = {"phi": State("1", "flux, not an angle")}
+
+    with pytest.raises(ModelError, match="other brings a state 'phi'"):
+        both.with_effect(Other()).states()
 
 
 def test_a_motor_of_arrays_is_a_batch_of_motors():

@@ -74,6 +74,13 @@ def test_an_effect_named_for_the_first_time_has_the_shape_of_the_plate():
     assert stribeck.tau_s == 0.2 and stribeck.w_k == pytest.approx(0.03 * 221.0)
 
 
+def test_what_a_file_leaves_open_fits_the_plate(tmp_path):
+    file = read(TEXT + "\n[effects.stribeck_friction]\ntau_s = 0.2\n", tmp_path)
+    assert file.motor.effect("stribeck_friction") == replace(
+        catalogue()["stribeck_friction"].typical(file.rated), tau_s=0.2
+    )
+
+
 @pytest.mark.parametrize("name", [*catalogue(), *sensor_models()])
 def test_every_part_of_the_catalogue_round_trips(name, tmp_path):
     file = read_motor_file(PAPER)

@@ -131,8 +131,12 @@ def _print_list(
 ) -> None:
     from motorlens_physics import describe
 
+    plate = (
+        f"{rated.voltage_V:g} V, {rated.current_A:g} A, {rated.speed_rad_s:g} rad/s, {rated.torque_Nm:g} N m"
+    )
+    print(f"typical sizes are for a motor of {plate}")
     for equation in describe.EQUATIONS:
-        print(f"{equation}")
+        print(equation)
         for name, effect in effects.items():
             if describe.equation_of(effect) == equation:
                 switch = effect.switch()

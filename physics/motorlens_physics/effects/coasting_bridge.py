@@ -14,7 +14,7 @@ class CoastingBridge(Effect):
 
     v is the commanded voltage, duty times V_bus. With s = 1 the current dies at once: the motor runs at a speed that
     hardly depends on the duty, and coasts at v = 0; s = 0 is a bridge that brakes (slow decay, as the textbook assumes).
-    Mohan, Undeland and Robbins (2003), Power Electronics, 3rd edition, ISBN 978-0-471-22693-2, section 7-3-2:
+    Mohan, Undeland and Robbins (2003), Power Electronics, 3rd edition, ISBN 978-0-471-22693-2, section 7-3-3:
     discontinuous conduction.
 
     >>> from types import SimpleNamespace as At

@@ -13,8 +13,9 @@ from motorlens_physics.parameter import param
 class CommutationRipple(Effect):
     """Segments of the commutator switch in turn: ke (1 + eps cos(N phi + p)) in the place of ke, in EMF and torque alike.
 
-    Kenjo and Nagamori (1985), Permanent-Magnet and Brushless DC Motors, ISBN 978-0-19-856217-7: the ripple falls with
-    the square of the number of segments, 14 % for 3 of them and below 2 % from 11 on.
+    Of an odd number n of segments the ripple is 1 - cos(pi / (2 n)) from peak to peak, 13 % for 3 and 1 % for 11, and
+    there are 2 n of them a revolution.
+    Kenjo and Nagamori (1985), Permanent-Magnet and Brushless DC Motors, ISBN 978-0-19-856217-7.
 
     >>> from types import SimpleNamespace as At
     >>> ripple, m, x = CommutationRipple(eps=0.1, N=6.0, p=0.3), At(ke=0.5), At(i=3.0, w=80.0, phi=0.2)

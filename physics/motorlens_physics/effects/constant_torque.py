@@ -12,7 +12,7 @@ class ConstantTorque(Effect):
     """A load that nobody measured and that does not turn with the motion: -tau_0.
 
     A hanging weight, a spring, the zero of a torque sensor. Only a reversal tells it from Coulomb friction.
-    Leonhard (2001), Control of Electrical Drives, 3rd edition, ISBN 978-3-540-41820-7, section 1.3: hoists.
+    Leonhard (2001), Control of Electrical Drives, 3rd edition, ISBN 978-3-540-41820-7, chapter 1: hoists.
 
     >>> from types import SimpleNamespace as At
     >>> ConstantTorque(tau_0=0.4).torque(None, At(w=-7.0), None)

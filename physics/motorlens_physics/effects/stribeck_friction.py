@@ -14,7 +14,7 @@ class StribeckFriction(Effect):
 
     The lubricant film builds up with speed, so friction falls first: below w_k the rotor sticks and slips.
     Olsson, Åström, Canudas de Wit, Gäfvert and Lischinsky (1998), Friction models and friction compensation, European
-    Journal of Control 4, 176-195, doi:10.1016/S0947-3580(98)70113-X, equation (5).
+    Journal of Control 4, 176-195, doi:10.1016/S0947-3580(98)70113-X.
 
     >>> from types import SimpleNamespace as At
     >>> round(StribeckFriction(tau_s=0.2, w_k=5.0, w_s=0.4).torque(None, At(w=3.0), None), 6)  # 0.2 exp(-0.36) tanh(7.5)

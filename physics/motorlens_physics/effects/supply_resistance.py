@@ -12,7 +12,7 @@ class SupplyResistance(Effect):
     """Cable, bridge and shunt between the voltage recorded and the terminals: -R_s i, which heats none of the winding.
 
     It differs from R_a0 by neither warming nor heating the winding; without a warm-up the two are twins.
-    Mohan, Undeland and Robbins (2003), Power Electronics, 3rd edition, ISBN 978-0-471-22693-2, section 2-6 (on-state).
+    Mohan, Undeland and Robbins (2003), Power Electronics, 3rd edition, ISBN 978-0-471-22693-2, chapter 2.
 
     >>> from types import SimpleNamespace as At
     >>> SupplyResistance(R_s=0.25).voltage(None, At(i=3.0), None)  # 0.25 3
