@@ -144,6 +144,7 @@ def _overlay_pictures(overlay: Overlay) -> list[Picture]:
         ]
         axes = {"gridcolor": "#eaeef2", "zerolinecolor": "#9aa3af"}
         layout = {
+            "xaxis": {**axes, "title": {"text": "time, s"}, "anchor": "y2"},
             "yaxis": {**axes, "title": {"text": f"{channel}, {unit}"}, "domain": [0.36, 1]},
             "yaxis2": {**axes, "title": {"text": f"error, {unit}"}, "domain": [0, 0.28]},
             "shapes": [
