@@ -36,7 +36,7 @@ CITATION = re.compile(
 
 @dataclass(frozen=True)
 class Curve:
-    """One term of an effect against one quantity, the others at their rated values: `y` in `y_unit` over `x` in `x_unit`."""
+    """One term of an effect against one quantity: `y` in `y_unit` over `x` in `x_unit`; `at` says where the others stand."""
 
     term: str
     x_name: str
@@ -44,6 +44,7 @@ class Curve:
     y_unit: str
     x: Array
     y: Array
+    at: str = ""
 
 
 def equation_of(effect: type[Effect]) -> str:
@@ -119,7 +120,7 @@ def curves(effect: Effect, rated: Rated, motor: Motor | None = None) -> list[Cur
 
     Args:
         effect: at the size to be drawn.
-        rated: the plate; what is not on the abscissa has its rated value.
+        rated: the plate; what is not on the abscissa has its rated value, states of the effect that are rises half of it.
         motor: textbook parameters (default: the paper's).
     """
     motor = motor or Motor()
@@ -152,7 +153,10 @@ def _curve(
         low, high = low / 3, high / 3
         values = np.linspace(low, high, 401)
         y = evaluate(values)
-    return Curve(LEFT[method], axis, unit, UNIT[method], values, np.asarray(y, dtype=np.float64))
+    others = [f"{name} = {top:.4g} {its}" for name, (_, top, its) in points.items() if name in free - {axis}]
+    return Curve(
+        LEFT[method], axis, unit, UNIT[method], values, np.asarray(y, dtype=np.float64), ", ".join(others)
+    )
 
 
 def _rated_points(effect: Effect, rated: Rated) -> dict[str, tuple[float, float, str]]:
@@ -166,7 +170,7 @@ def _rated_points(effect: Effect, rated: Rated) -> dict[str, tuple[float, float,
     return {
         "phi": (-turn, turn, "rad"),
         "w": (-rated.speed_rad_s, rated.speed_rad_s, "rad/s"),
-        "i": (-2 * rated.current_A, 2 * rated.current_A, "A"),
+        "i": (-rated.current_A, rated.current_A, "A"),
         "theta": (0.0, rated.rise_K, "K"),
         "v": (-rated.voltage_V, rated.voltage_V, "V"),
         **own,

@@ -207,9 +207,9 @@ def text_plot(curve: "Curve", width: int = 64, height: int = 13) -> str:
         canvas[round((height - 1) * high / span)] = ["-"] * width
     for column, row in enumerate(rows):
         canvas[min(max(row, 0), height - 1)][column] = "*"
-    lines = [f"  {curve.term}, {curve.y_unit}"]
+    lines = [f"  {curve.term} ({curve.y_unit}){' at ' if curve.at else ''}{curve.at}"]
     for k, cells in enumerate(canvas):
-        label = f"{high:.3g}" if k == 0 else f"{low:.3g}" if k == height - 1 else ""
+        label = f"{high + 0.0:.3g}" if k == 0 else f"{low + 0.0:.3g}" if k == height - 1 else ""
         lines.append(f"{label:>10} |{''.join(cells).rstrip()}")
     left, middle, right = f"{curve.x[0]:.3g}", f"{curve.x_name} ({curve.x_unit})", f"{curve.x[-1]:.3g}"
     return "\n".join([*lines, f"{'':11}{left}{middle:^{width - len(left) - len(right)}}{right}"])
@@ -229,6 +229,7 @@ def _draw(effect: "Effect", rated: "Rated", path: str) -> None:
     for axes, curve in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
         axes.plot(curve.x, curve.y)
         axes.set(xlabel=f"{curve.x_name} ({curve.x_unit})", ylabel=f"{curve.term} ({curve.y_unit})")
+        axes.set_title(curve.at, fontsize="small")
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
 
