@@ -67,8 +67,9 @@ class Observer:
         """A pause, in steps that the linearised model can take; what it held before, a motor has forgotten after hours."""
         if dt <= _PAUSE_WINDOWS * self._full_s:
             return (dt,)
-        piece = 0.5 * _PAUSE_WINDOWS * self._full_s
-        return repeat(piece, math.ceil(min(dt, _FORGOTTEN_S) / piece))
+        pause = min(dt, _FORGOTTEN_S)
+        count = math.ceil(pause / (0.5 * _PAUSE_WINDOWS * self._full_s))
+        return repeat(pause / count, count)
 
     def advance(
         self, state: State, voltage_V: Array, current_A: Array, ambient_C: Array | None, dt_s: Array,
