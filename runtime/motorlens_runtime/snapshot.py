@@ -2,7 +2,8 @@
 
 IEC 60947-4-1 asks it of thermal overload relays with thermal memory. Written atomically (write, fsync, rename, fsync of the
 directory): after a crash the file is the old one or the new one. Restored only for the same sensor and device, aged for the
-time it was off by the filters' own law `s' = u + (s - u) exp(-dt/tau)`, with u the signals of a motor at rest.
+time it was off by the filters' own law `s' = u + (s - u) exp(-dt/tau)`, with u the signals of a motor at rest; an observer
+ages by its own model.
 
 The time off is read from the wall clock. A clock that stands before the snapshot (no battery, not yet set) tells nothing;
 the motor is then taken to be as hot as it was, the safe side.
@@ -31,13 +32,15 @@ SCHEMA = "motorlens.snapshot/1"
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What is kept: whose it is, when it was taken (wall clock), the filters' values, the ambient temperature if known."""
+    """What is kept: whose it is, when it was taken (wall clock), the filters' values, the ambient temperature if known, and
+    the state of the observer if there is one."""
 
     sensor: str
     device: str
     wall_time_ns: int
     values: tuple[float, ...]
     ambient_C: float | None
+    observer: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ def take(sensor: Sensor, device: str, state: EstimatorState, wall_time_ns: int) 
     """The snapshot of a running estimator."""
     values = tuple(float(value) for value in sensor.bank.values(state.bank))
     ambient = state.gate.ambient_C if sensor.specification.needs_ambient else None
-    return Snapshot(sensor.digest, device, wall_time_ns, values, ambient)
+    return Snapshot(sensor.digest, device, wall_time_ns, values, ambient, state.observer)
 
 
 def save(path: str | Path, snapshot: Snapshot) -> None:
@@ -92,7 +95,7 @@ def load(path: str | Path) -> Snapshot | str | None:
         ambient = document["ambient_C"]
         snapshot = Snapshot(
             str(document["sensor"]), str(document["device"]), int(document["wall_time_ns"]), values,
-            None if ambient is None else float(ambient),
+            None if ambient is None else float(ambient), tuple(float(value) for value in document["observer"]),
         )  # fmt: skip
     except FileNotFoundError:
         return None
@@ -100,7 +103,7 @@ def load(path: str | Path) -> Snapshot | str | None:
         return f"{path}: {error.strerror}; the motor is taken to be cold"
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return f"{path}: damaged; the motor is taken to be cold"
-    if not all(map(math.isfinite, (*snapshot.values, snapshot.ambient_C or 0.0))):
+    if not all(map(math.isfinite, (*snapshot.values, snapshot.ambient_C or 0.0, *snapshot.observer))):
         return f"{path}: damaged; the motor is taken to be cold"
     return snapshot
 
@@ -119,15 +122,24 @@ def restore(snapshot: Snapshot, sensor: Sensor, device: str, wall_time_ns: int) 
         return (
             f"the snapshot is of device {snapshot.device!r}, not of {device!r}; the motor is taken to be cold"
         )
-    if len(snapshot.values) != len(sensor.bank.signals):
+    bank, observer = sensor.bank, sensor.extractor.observer
+    if len(snapshot.values) != len(bank.signals) or len(snapshot.observer) != len(
+        sensor.extractor.start()[1]
+    ):
         return "the snapshot does not fit the sensor; the motor is taken to be cold"
     off_s = max(wall_time_ns - snapshot.wall_time_ns, 0) * 1e-9
-    bank = sensor.bank
     values = aged(bank, np.array(snapshot.values), off_s, snapshot.ambient_C)
     message = f"heat remembered from {off_s:.0f} s ago"
     if wall_time_ns < snapshot.wall_time_ns:
         message = "heat remembered; the clock stands before the snapshot, so no cooling is counted"
-    return Restored(EstimatorState(bank.start(values)), off_s, message)
+    memory = snapshot.observer
+    if observer is not None and off_s > 0:
+        rest = np.zeros(1)
+        ambient = None if snapshot.ambient_C is None else np.array([snapshot.ambient_C])
+        memory, _ = observer.advance(
+            memory, rest, rest, ambient, np.array([off_s]), np.ones(1, dtype=bool), np.zeros(0, dtype=np.intp)
+        )
+    return Restored(EstimatorState(bank.start(values), observer=memory), off_s, message)
 
 
 def aged(bank: FilterBank, values: Array, off_s: float, ambient_C: float | None) -> Array:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.sensor_files import write_sensor
+from helpers.sensor_files import features_by_loop, make_spec, write_sensor
 
 from motorlens_runtime import snapshot
 from motorlens_runtime.estimator import Estimator
@@ -24,11 +24,71 @@ from motorlens_runtime.sensor import load_sensor
 S = 1_000_000_000
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["without ambient", "with ambient"])
+@pytest.fixture(scope="module", params=["plain", "ambient", "observer"])
 def sensor(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("sensor") / "s.onnx"
-    write_sensor(path, ambient=request.param)
+    if request.param == "observer":
+        write_with_observer(path)
+    else:
+        write_sensor(path, ambient=request.param == "ambient")
     return load_sensor(path)
+
+
+TAU_S = 600.0
+
+
+def program(inputs, constants, steps, outputs):
+    return {"inputs": ["x"] * inputs, "constants": constants, "steps": steps, "outputs": outputs}
+
+
+def write_with_observer(path):
+    """A sensor with an observer of one state, which follows the square of the current with a time constant of 600 s."""
+    spec = make_spec()
+    # Registers of `accumulate`: v, i, ambient, dt, state, time, the constant, then one for each step.
+    decay = [
+        ["mul", 3, 6],
+        ["exp", 7],
+        ["mul", 1, 1],
+        ["sub", 4, 9],
+        ["mul", 10, 8],
+        ["add", 9, 11],
+        ["add", 5, 3],
+    ]
+    spec["observer"] = {
+        "period_s": 0.01, "ambient_C": 20.0, "size": 2, "window": 2, "time": 1, "outputs": ["heat"],
+        "accumulate": program(6, [-1 / TAU_S], decay, [12, 13]),
+        "correct": program(3, [0.0], [], [1, 3]),
+        "read": program(3, [], [], [1]),
+    }  # fmt: skip
+    spec["features"].append({"kind": "observer", "output": 0})
+    n = len(spec["features"])
+    spec["envelope"]["features"] = {
+        "mean": [0.0] * n,
+        "precision_cholesky": np.eye(n).tolist(),
+        "limit": 1e12,
+    }
+
+    def features(spec, time_s, voltage, current, ambient=None):
+        plain = {**spec, "features": spec["features"][:-1]}
+        state, heat = 0.0, []
+        for dt, i in zip(np.diff(time_s, prepend=time_s[0] - 0.001), current, strict=True):
+            state = i * i + (state - i * i) * math.exp(-dt / TAU_S)
+            heat.append([state])
+        return np.hstack((features_by_loop(plain, time_s, voltage, current), heat))
+
+    write_sensor(path, spec=spec, features=features)
+
+
+def test_an_observer_cools_by_its_own_model(tmp_path):
+    write_with_observer(tmp_path / "s.onnx")
+    sensor = load_sensor(tmp_path / "s.onnx")
+    taken = snapshot.take(sensor, "", hot_estimator(sensor).state, 10**18)
+    heat = 400 * (1 - math.exp(-5 / TAU_S))
+    assert taken.observer[0] == pytest.approx(heat, rel=1e-9)
+    for off_s in (0.0, 0.5, 60.0, 3600.0):
+        restored = snapshot.restore(taken, sensor, "", 10**18 + round(off_s * S))
+        assert restored.state.observer[0] == pytest.approx(heat * math.exp(-off_s / TAU_S), rel=1e-9)
+    assert "does not fit" in snapshot.restore(replace(taken, observer=()), sensor, "", 10**18)
 
 
 def samples(n, start_s=0.0, voltage=150.0, current=20.0, ambient=31.0):
@@ -140,7 +200,7 @@ def test_killed_while_writing_leaves_an_old_or_a_new_snapshot_never_a_torn_one(t
             print(k, flush=True)
     """
     chance = random.Random(7)
-    for _ in range(15):
+    for _ in range(8):
         process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stdout=subprocess.PIPE)
         process.stdout.readline()
         time.sleep(chance.uniform(0.0, 0.01))
