@@ -17,6 +17,7 @@ from motorlens_train.data import Cycle, cycle
 from motorlens_train.duty_cycles import Noise, duty_cycle, instants
 from motorlens_train.features import motor_bank, recording_bank
 from motorlens_train.observer import ObserverSettings, with_observer
+from motorlens_train.paper import PaperRun, paper_run
 from motorlens_train.specification import Array, Bank, Rate
 from motorlens_train.trainer import Settings
 
@@ -94,6 +95,12 @@ def from_motor(
         origin,
         cases,
     )
+
+
+def paper_of(path: Path, recipe: Recipe, noise: Sequence[str]) -> PaperRun:
+    """The paper's protocol on this motor, with a network of the recipe's size and the same noise."""
+    file = read_motor_file(path)
+    return paper_run(file, recipe, noise_of(file, noise), recipe.seed)
 
 
 def simulated(

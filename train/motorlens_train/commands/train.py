@@ -10,6 +10,7 @@ OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card with the
 """
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from motorlens_runtime.cli import add_json_argument, write_json
@@ -47,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_train.card import write_card
     from motorlens_train.commands.parse import hidden_layers
     from motorlens_train.export import write_sensor
-    from motorlens_train.material import from_motor, from_recordings
+    from motorlens_train.material import from_motor, from_recordings, paper_of
 
     if bool(arguments.motor) == bool(arguments.recordings):
         raise DataError("say what to train on: --motor MOTOR.toml or --recordings REC...")
@@ -80,6 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
     cases = {title: measured(built.sensor, cycles) for title, cycles in material.cases.items()}
     card = built.card | {"trained_on": material.origin, "cases": cases}
+    if arguments.motor:
+        card["paper"] = asdict(paper_of(Path(arguments.motor), material.recipe, arguments.noise))
     write_sensor(built.sensor, card, golden(built.sensor), output)
     write_card(built, card, material, output.with_suffix(".md"))
     print(
