@@ -75,11 +75,14 @@ def from_motor(
     for number in range(cycles + fifth):
         # An observer reads the temperature off the inrush, so what it stands in may have any history.
         unknown = number >= cycles or (observed is not None and number % 2 == 1)
-        made.append(simulated(file, bank, deviations, rate_Hz, [seed, number], unknown))
+        rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3] if observed is not None else rate_Hz
+        made.append(simulated(file, bank, deviations, rate, [seed, number], unknown))
         done(number + 1)
     recipe = Recipe(
-        name, bank, OUTPUTS, hidden or (12, 8), Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz),
-        5 * time_constants(file.motor).mechanical_s, seed, Settings(iterations=iterations),
+        name, bank, OUTPUTS, hidden or ((12, 8) if observed is None else (6,)), Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz),
+        5 * time_constants(file.motor).mechanical_s, seed,
+        # What an observer leaves over is small, and alike for minutes.
+        Settings(iterations=iterations, time_series=observed is not None),
     )  # fmt: skip
     origin = (
         f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load and ambient, hot restarts, "
