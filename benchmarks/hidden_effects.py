@@ -4,7 +4,7 @@
     python benchmarks/hidden_effects.py generate --split dev --n 400 -o DIR    recordings, and the key in DIR/key
     python benchmarks/hidden_effects.py run --split dev --n 400 -o DIR         generates, diagnoses and deletes, resumable
     python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy (plain, weak), residual whiteness
-    python benchmarks/hidden_effects.py resolve DIR                            performs and diagnoses the proposed experiments
+    python benchmarks/hidden_effects.py resolve DIR                         performs the proposed experiments, diagnoses again
     python benchmarks/hidden_effects.py score DIR                              opens the key, prints the rates
 
 The plan of a split follows from its seed; its SHA-256 was committed in hidden_effects/keys.sha256 before the diagnosing code
