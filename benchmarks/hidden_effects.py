@@ -4,7 +4,7 @@
     python benchmarks/hidden_effects.py generate --split dev --n 400 -o DIR    recordings, and the key in DIR/key
     python benchmarks/hidden_effects.py run --split dev --n 400 -o DIR         generates, diagnoses and deletes, resumable
     python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy (plain, weak), residual whiteness
-    python benchmarks/hidden_effects.py resolve DIR                         performs the proposed experiments, diagnoses again
+    python benchmarks/hidden_effects.py resolve DIR                         diagnoses again with the experiments proposed
     python benchmarks/hidden_effects.py score DIR                              opens the key, prints the rates
 
 The plan of a split follows from its seed; its SHA-256 was committed in hidden_effects/keys.sha256 before the diagnosing code
@@ -14,6 +14,7 @@ was tuned. dev is for tuning; test is run once per release. `--small` draws anot
 
 import argparse
 import hashlib
+import importlib.util
 import json
 import os
 import subprocess
@@ -336,14 +337,30 @@ def make(arguments: argparse.Namespace) -> None:
         print(case.id, *(path.name for path in made.recordings), file=sys.stderr)
 
 
+def bench(quick: bool) -> None:
+    """What `make bench` shows: the 60 short cases (12 with --quick), and PySINDy on them where it is installed."""
+    with tempfile.TemporaryDirectory(prefix="hidden-") as out:
+        (Path(out) / "key").mkdir()
+        for truth in read_lines(HERE / "hidden_effects" / "subset-key.jsonl"):
+            (Path(out) / "key" / f"{truth['case']['id']}.json").write_text(
+                json.dumps(truth), encoding="utf-8"
+            )
+        arguments = argparse.Namespace(
+            split="subset", n=60, small=True, only=None, every=5 if quick else 1, output=out, jobs=2, limit=300.0,
+            keep=False, open_test=False, directory=out, strata=not quick, failures=None,
+        )  # fmt: skip
+        run(arguments)
+        if importlib.util.find_spec("pysindy"):
+            run_baselines(arguments)
+        print_score(arguments)
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--quick", action="store_true", help="12 short cases, diagnosed and scored (for make bench)"
-    )
+    parser.add_argument("--quick", action="store_true", help="without an action: 12 short cases, not 60")
     actions = parser.add_subparsers(dest="action")
     actions.add_parser("seal")
     for name in ("generate", "run", "baselines"):
@@ -367,6 +384,8 @@ def main() -> None:
     action.add_argument("directory")
     action.add_argument("--limit", type=float, default=300.0, help="seconds a diagnosis may take")
     arguments = parser.parse_args()
+    if arguments.action is None:
+        bench(arguments.quick)
     if arguments.action == "seal":
         print(seal(), end="")
         print(f"{source_hash()}  generator")
