@@ -61,17 +61,8 @@ def source_hash() -> str:
 
 def command(paths: Iterable[Path], motor: Path, answer: Path) -> list[str]:
     """The diagnosis as a user calls it."""
-    return [
-        sys.executable,
-        "-m",
-        "motorlens_runtime.cli",
-        "diagnose",
-        *map(str, paths),
-        "--motor",
-        str(motor),
-        "--json",
-        str(answer),
-    ]
+    words = [*map(str, paths), "--motor", str(motor), "--json", str(answer)]
+    return [str(Path(sys.executable).with_name("motorlens")), "diagnose", *words]
 
 
 def prepared(case: Case, directory: Path, place: Path) -> Generated:
