@@ -105,8 +105,10 @@ class LineFeed:
             self._try_again(timeout_s)
             return NO_SAMPLES
         try:
-            if self._decoder is not None and (question := self._decoder.request(self._clock())):
-                self._source.write(question)
+            if self._decoder is not None:
+                if question := self._decoder.request(self._clock()):
+                    self._source.write(question)
+                timeout_s = min(timeout_s, self._decoder.patience_s(self._clock()))
             data = self._source.read(timeout_s)
         except DeviceError as error:
             self._lost(error)

@@ -6,6 +6,7 @@ spoken to; for them a dialect also says what to send (`request`), and nothing it
 """
 
 import importlib
+import math
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -40,6 +41,10 @@ class Dialect(ABC):
     def request(self, now_ns: int) -> bytes:
         """What to send to the drive now: nothing unless the drive must be asked, and not before it is due."""
         return b""
+
+    def patience_s(self, now_ns: int) -> float:
+        """How long to wait for bytes before `request` wants to be asked again; for ever if it never has anything to send."""
+        return math.inf
 
 
 def make_dialect(name: str, options: Mapping[str, str] | None = None) -> Dialect:

@@ -13,6 +13,7 @@ Options: `motor` 1 or 2, `address` (default 0x80), `poll_Hz` (samples a second, 
 """
 
 import binascii
+import math
 import struct
 
 import numpy as np
@@ -69,11 +70,26 @@ class RoboClaw(Dialect):
             self._rest, self._values = b"", {}
         missing = [command for command in _LENGTHS if command not in self._values]
         if len(missing) == len(_LENGTHS):
-            if self._started_ns is not None and now_ns - self._started_ns < self._period_ns:
+            if self._started_ns is None or now_ns - self._started_ns >= 2 * self._period_ns:
+                self._started_ns = now_ns
+            elif now_ns - self._started_ns < self._period_ns:
                 return b""
-            self._started_ns = now_ns
+            else:
+                self._started_ns += (
+                    self._period_ns
+                )  # rounds keep to their grid, unless the drive has been silent
         self._asked, self._asked_ns = missing[0], now_ns
         return bytes((self._address, self._asked))
+
+    def patience_s(self, now_ns: int) -> float:
+        """Until the open answer is given up, or the next round begins."""
+        if not self._period_ns:
+            return math.inf
+        if self._asked is not None:
+            return max(self._asked_ns + _PATIENCE_NS - now_ns, 0) * 1e-9
+        if self._values or self._started_ns is None:
+            return 0.0
+        return max(self._started_ns + self._period_ns - now_ns, 0) * 1e-9
 
     def feed(self, data: bytes, now_ns: int) -> Samples:
         """A sample each time all three replies have come."""

@@ -12,6 +12,7 @@ Options: `poll_Hz` (default 100; 0 only listens), `values` = `selective` (three 
 """
 
 import binascii
+import math
 import struct
 
 import numpy as np
@@ -70,12 +71,24 @@ class Vesc(Dialect):
         """The next question, when it is due and the last one has been answered or given up."""
         if not self._period_ns:
             return b""
-        if self._asked_ns is not None:
-            patience = max(self._period_ns, _PATIENCE_NS) if self._waiting else self._period_ns
-            if now_ns - self._asked_ns < patience:
-                return b""
-        self._asked_ns, self._waiting = now_ns, True
+        if now_ns < self._due_ns(now_ns):
+            return b""
+        # Questions keep to their grid, unless the drive has been silent.
+        on_grid = self._asked_ns is not None and now_ns - self._asked_ns < 2 * self._period_ns
+        self._asked_ns = (
+            self._asked_ns + self._period_ns if on_grid and self._asked_ns is not None else now_ns
+        )
+        self._waiting = True
         return self._question
+
+    def patience_s(self, now_ns: int) -> float:
+        """Until the next question is due."""
+        return max(self._due_ns(now_ns) - now_ns, 0) * 1e-9 if self._period_ns else math.inf
+
+    def _due_ns(self, now_ns: int) -> int:
+        if self._asked_ns is None:
+            return now_ns
+        return self._asked_ns + (max(self._period_ns, _PATIENCE_NS) if self._waiting else self._period_ns)
 
     def feed(self, data: bytes, now_ns: int) -> Samples:
         """Samples from the replies that `data` completes."""
