@@ -57,7 +57,8 @@ def card_text(built: Built, card: Mapping[str, Any], material: Material) -> str:
     if paper:
         lines += [
             "",
-            f"By the paper's protocol a mean square training error of 1.6e-4 (scaled) is reached after "
-            f"{paper['iterations']} iterations; the paper took 2000 epochs. It ends at {paper['training_error']:.1e}.",
+            f"By the paper's protocol a mean square error of 1.6e-4 (scaled) is reached after {paper['iterations']} "
+            f"iterations; the paper's training error was as large after 2000 epochs. Training ends at "
+            f"{paper['training_error']:.1e}.",
         ]
     return "\n".join(lines) + "\n"

@@ -185,14 +185,18 @@ class _Run:
         after = settle(self.architecture, taken.point.network.hidden, hyper, taken.point.moments)
         state = self._recorded(state, after, taken.damping, taken.accepted, hyper, found, batch)
         state = replace(state, quiet=quiet)
-        if self.validation is not None and state.since_best >= self.settings.patience:
+        if self.validation is not None and self._last(batch) and state.since_best >= self.settings.patience:
             return state, after, f"the validation error has not improved for {state.since_best} iterations"
         if state.iteration >= self.settings.iterations:
             return state, after, f"the limit of {state.iteration} iterations is reached"
         if quiet < 2:
             return state, after, ""
         if not self._last(batch):
-            return replace(state, stage=state.stage + 1, quiet=0, damping=min(state.damping, 1.0)), None, ""
+            return (
+                replace(state, stage=state.stage + 1, quiet=0, since_best=0, damping=min(state.damping, 1.0)),
+                None,
+                "",
+            )
         return state, after, "no damping leads downhill" if stuck else "converged"
 
     def finish(self, state: State, stopped: str) -> Trained:
