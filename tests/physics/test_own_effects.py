@@ -20,34 +20,9 @@ from motorlens_runtime.errors import DataError
 
 PAPER = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
-# All that a user writes to add physics that the catalogue lacks: a propeller in water, say, with a cubic torque.
-OWN = '''
-"""A torque that grows with the cube of speed."""
-
-from dataclasses import dataclass
-from typing import Any, ClassVar
-
-from motorlens_physics.effect import Effect
-from motorlens_physics.parameter import param
-
-
-@dataclass(frozen=True)
-class CubicDrag(Effect):
-    """A torque that grows with the cube of speed: -c w^3. doi:10.1000/182.
-
-    >>> from types import SimpleNamespace as At
-    >>> CubicDrag(c=0.5).torque(None, At(w=-2.0), None)  # 0.5 8
-    4.0
-    """
-
-    excited_by: ClassVar[tuple[str, ...]] = ("coast_down",)
-    friction: ClassVar[bool] = True
-
-    c: float = param(0.0, "N*m*s^3/rad^3", "cubic drag", bounds=(0.0, 1.0), prior=0.02, of="torque/speed^3", null=0.0)
-
-    def torque(self, m: Any, x: Any, u: Any) -> Any:
-        return -self.c * x.w**3
-'''
+# The example of the documentation is what is tested.
+DOCUMENT = (Path(__file__).resolve().parents[2] / "docs/own-effects.md").read_text(encoding="utf-8")
+OWN = DOCUMENT.partition("```python\n")[2].partition("```\n")[0]
 
 
 @pytest.fixture
