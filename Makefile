@@ -32,8 +32,17 @@ check: .venv/everything
 	$(BIN)/python -m pytest
 	@echo "All good."
 
-bench: .venv/everything
-	for benchmark in benchmarks/*.py; do echo "== $$benchmark"; $(BIN)/python $$benchmark $(BENCH_ARGUMENTS) || exit 1; done
+# The long studies. `make bench BENCH=--quick` is the short form of each.
+.venv/bench: .venv/everything
+	$(PIP) --constraint constraints.txt --editable '.[all,dev,bench]'
+	touch $@
+
+bench: .venv/bench
+	for study in benchmarks/*.py; do echo "== $$study"; $(BIN)/python $$study $(BENCH) || exit 1; done
+
+# Hardware in the loop: counts and bits are gates, latencies are reported beside the machine's load.
+hil: .venv/everything
+	$(BIN)/python benchmarks/hil.py $(BENCH)
 
 # Rebuild the shipped sensor from its seed.
 sensor: .venv/everything
