@@ -25,7 +25,7 @@ from motorlens_runtime.sensor import load_sensor
 
 MACHINES = ("x86_64", "aarch64")
 # What a publisher or source needs beyond the light runtime.
-_NEEDS = {"mqtt": "paho-mqtt", "parquet": "pyarrow", "can": "cantools"}
+_NEEDS = {"mqtt": "paho-mqtt", "parquet": "pyarrow", "can": "cantools", "opcua": "asyncua"}
 _FILES = ("motorlens.service", "99-motorlens.rules", "install.sh", "uninstall.sh")
 
 
