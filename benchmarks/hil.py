@@ -1,0 +1,363 @@
+"""Hardware in the loop, with the hardware on a pseudo-terminal: counts and bits are gates, latencies are reported.
+
+    python benchmarks/hil.py [--quick] [--sensor S.onnx] [--realtime]
+
+1. Loopback at 1, 10 and 20 kHz, 60 s each: no sample lost, none invented, live equals replay bit for bit.
+2. Faults in 10^7 frames: nothing wrong accepted, every undamaged frame received, bounded memory.
+3. 24 h at 1 kHz in simulated time: memory flat, state at its closed form.
+
+Exit status 1 if a gate fails. The device runs in a process of its own and stamps each frame as it writes it.
+"""
+
+import argparse
+import gc
+import os
+import pty
+import resource
+import select
+import subprocess
+import sys
+import tempfile
+import time
+import tty
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from motorlens_firmware_sim import faults
+from motorlens_runtime.estimator import Estimates, Estimator
+from motorlens_runtime.feed import open_feed
+from motorlens_runtime.framing import MAX_BODY, Channel, Decoder, Hello, hello_frames, samples_frame
+from motorlens_runtime.gate import Samples
+from motorlens_runtime.outlet import Grid, OutletReport
+from motorlens_runtime.quality import Quality
+from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.service import Service, Settings
+
+ROOT = Path(__file__).resolve().parents[1]
+LOOPS = ((1000, 1), (10_000, 10), (20_000, 20))
+SCALES = {"voltage": ("V", 0.13), "current": ("A", 0.037)}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="5 s a loop, 10^5 frames, one simulated hour")
+    parser.add_argument("--sensor", default=str(ROOT / "models" / "sensors" / "mellah2016.onnx"))
+    parser.add_argument("--realtime", action="store_true", help="ask for real-time priority in the loops")
+    parser.add_argument("--device", nargs=4, type=str, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.device:
+        rate, n, seconds, stamps = arguments.device
+        return device(int(rate), int(n), float(seconds), stamps)
+    gates = []
+    for rate, n in LOOPS:
+        gates += loop(arguments.sensor, rate, n, 5.0 if arguments.quick else 60.0, arguments.realtime)
+    gates += injected(10**5 if arguments.quick else 10**7)
+    gates += simulated_day(arguments.sensor, 1 if arguments.quick else 24)
+    failed = [name for name, passed in gates if not passed]
+    print(
+        f"{len(gates) - len(failed)} of {len(gates)} gates passed"
+        + "".join(f"; FAILED: {name}" for name in failed)
+    )
+    return 1 if failed else 0
+
+
+def codes_of(count: int) -> np.ndarray:
+    """What the device measures: a square wave of voltage, a wavy current, noise of a few codes."""
+    k = np.arange(count)
+    noise = np.random.default_rng(0).normal(size=(count, 2))
+    return np.round(
+        np.column_stack([1500 * np.sign(np.sin(k / 3000)), 400 + 300 * np.sin(k / 1700)]) + 2 * noise
+    ).astype(np.int16)
+
+
+def device(rate: int, n: int, seconds: float, stamps: str) -> int:
+    """Print the port, wait for a reader, send in real time, write when each frame was sent."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    print(os.ttyname(slave), flush=True)
+    os.close(slave)
+    channels = tuple(
+        Channel(name, unit, "i2", scale, 0.0, -2048, 2047) for name, (unit, scale) in SCALES.items()
+    )
+    hello = Hello("hil", 1, (rate, 1), channels, simulated=True)
+    codes, frames = codes_of(int(seconds * rate)), int(seconds * rate) // n
+    poll = select.poll()
+    poll.register(master, select.POLLIN)
+    while any(event & select.POLLHUP for _, event in poll.poll(0)):
+        time.sleep(0.01)
+    time.sleep(0.5)
+    writable = select.poll()
+    writable.register(master, select.POLLOUT)
+    os.set_blocking(master, False)
+    gc.disable()
+    sequence, sent = 0, np.zeros(frames, dtype=np.int64)
+    start = time.monotonic()
+    for k in range(frames):
+        data = b""
+        if k * n % (2 * rate) == 0:
+            pieces = hello_frames(hello, sequence=sequence, t0_us=round(1e6 * k * n / rate))
+            sequence += len(pieces)
+            data = b"".join(pieces)
+        rows = codes[k * n : (k + 1) * n]
+        data += samples_frame(
+            rows, schema=1, sequence=sequence & 0xFFFF, t0_us=round(1e6 * k * n / rate) & 0xFFFFFFFF
+        )
+        sequence += 1
+        time.sleep(max(0.0, start + (k + 1) * n / rate - time.monotonic()))
+        sent[k] = time.monotonic_ns()
+        while data:
+            if not writable.poll(5000):
+                return 1  # nobody reads any more
+            data = data[os.write(master, data) :]
+    np.save(stamps, sent)
+    sys.stdin.read()  # hold the port until the other side is done
+    return 0
+
+
+class Probe:
+    """An outlet that keeps what it is given, and when."""
+
+    dead = False
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[int, Estimates]] = []
+
+    def report(self) -> OutletReport:
+        return OutletReport("probe", len(self.parts), 0, 0, None)
+
+    def put(self, estimates: Estimates) -> None:
+        self.parts.append((time.monotonic_ns(), estimates))
+
+
+def loop(sensor_path: str, rate: int, n: int, seconds: float, realtime: bool) -> list[tuple[str, bool]]:
+    """One loopback; prints its figures and returns its gates."""
+    sensor = load_sensor(sensor_path)
+    with tempfile.TemporaryDirectory() as folder:
+        stamps = str(Path(folder) / "stamps.npy")
+        command = [
+            sys.executable,
+            str(ROOT / "benchmarks" / "hil.py"),
+            "--device",
+            str(rate),
+            str(n),
+            str(seconds),
+            stamps,
+        ]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None and process.stdin is not None
+        port = process.stdout.readline().strip()
+        probe = Probe()
+        feed = open_feed(f"pty://{port}?dialect=frames", {}, None, 0.0, time.monotonic_ns)
+        service = Service(feed, sensor, [probe], None, Settings(1000.0), time.monotonic_ns)  # type: ignore[list-item]
+        said = priority() if realtime else "ordinary priority"
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        cpu, started = time.process_time(), time.monotonic()
+        deadline, last = started + seconds + 20, (int(seconds * rate) - 1) * 10**9 // rate
+        service.run(lambda: (bool(probe.parts) and done(probe, last)) or time.monotonic() > deadline)
+        cpu = (time.process_time() - cpu) / (time.monotonic() - started)
+        gc.enable()
+        if realtime:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        report = service.report()
+        feed.close()
+        process.stdin.close()
+        process.wait()
+        process.stdout.close()
+        sent = np.load(stamps)
+    got = joined([estimates for _, estimates in probe.parts])
+    out = np.concatenate([np.full(len(estimates), at) for at, estimates in probe.parts])
+    latency = (out - sent[got.time_ns * rate // (10**9 * n)]) / 1000
+    p50, p99, p999 = np.percentile(latency, [50, 99, 99.9])
+    count = int(seconds * rate)
+    same = equal_to_replay(sensor, rate, count, got)
+    print(
+        f"{rate / 1000:g} kHz x {n} a frame, {seconds:g} s, {said}: {report['samples']} samples, {report['lost']} lost, "
+        f"frame to estimate {p50:.0f} us median, {p99:.0f} us 99 %, {p999:.0f} us 99.9 %, {latency.max():.0f} us worst; "
+        f"{100 * cpu:.1f} % of a core; load of the machine {os.getloadavg()[0]:.1f}"
+    )
+    name = f"{rate} Hz"
+    return [
+        (f"{name}: all samples", report["samples"] == count and report["lost"] == 0),
+        (f"{name}: no damaged frames", report["feed"]["bad_frames"] == 0 and report["feed"]["gaps"] == 0),
+        (f"{name}: live equals replay", same),
+    ]
+
+
+def done(probe: Probe, last_ns: int) -> bool:
+    """Whether the estimate of the last publishing instant has come."""
+    return int(probe.parts[-1][1].time_ns[-1]) >= last_ns // 1_000_000 * 1_000_000
+
+
+def equal_to_replay(sensor, rate: int, count: int, got: Estimates) -> bool:
+    """Whether the estimates are bit for bit those of one call over all samples that the device sent."""
+    codes = codes_of(count).astype(np.float64)
+    values = [scale * codes[:, column] + 0.0 for column, (_, scale) in enumerate(SCALES.values())]
+    time_ns = np.arange(count) * 10**9 // rate
+    samples = Samples(time_ns, *values, flags=np.full(count, Quality.SIMULATED, dtype=np.uint32))
+    rows = Grid(1000.0).rows(time_ns)
+    expected = Estimator(sensor, 1 / rate).push(samples, rows)
+    # Whether the PC kept up is not in the samples.
+    got = replace(got, quality=got.quality & ~np.uint32(Quality.OVERLOAD))
+    return all(np.array_equal(getattr(got, f), getattr(expected, f)) for f in Estimates.__dataclass_fields__)
+
+
+def joined(parts: list[Estimates]) -> Estimates:
+    return Estimates(
+        *(np.concatenate([getattr(part, f) for part in parts]) for f in Estimates.__dataclass_fields__)
+    )
+
+
+def priority() -> str:
+    """Ask for real-time priority and say what came of it."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+        return "real-time priority 40"
+    except OSError as error:
+        return f"real-time priority refused ({error.strerror})"
+
+
+def injected(total: int) -> list[tuple[str, bool]]:
+    """All kinds of damage to `total` frames; everything accepted is compared with what was sent."""
+    rng = np.random.default_rng(1)
+    chunk = min(total // 10, 50_000)
+    kinds = {
+        "bit errors 1e-5": lambda d: faults.flip_bits(d, 1e-5, rng),
+        "bit errors 1e-4": lambda d: faults.flip_bits(d, 1e-4, rng),
+        "bit errors 1e-3": lambda d: faults.flip_bits(d, 1e-3, rng),
+        "bytes dropped": lambda d: faults.drop_bytes(d, 1e-3, rng),
+        "bytes inserted": lambda d: faults.insert_bytes(d, 1e-3, rng),
+        "bytes doubled": lambda d: faults.repeat_bytes(d, 1e-3, rng),
+        "bytes swapped": lambda d: faults.swap_bytes(d, 1e-3, rng),
+        "bursts": lambda d: faults.burst(d, 300, chunk // 100, rng),
+        "line stuck": lambda d: stuck(d, rng),
+        "frames cut, doubled, exchanged": lambda d: shuffled(d, rng),
+    }
+    gates, accepted_all, bad_all, started = [], 0, 0, time.process_time()
+    longest = 0
+    for name, damage in kinds.items():
+        wrong = missing = accepted = bad = frames = 0
+        for first in range(0, total // len(kinds), chunk):
+            codes = rng.integers(-2048, 2048, (chunk, 5, 2)).astype(np.int16)
+            wire = [
+                samples_frame(rows, schema=1, sequence=(first + k) & 0xFFFF, t0_us=first + k)
+                for k, rows in enumerate(codes)
+            ]
+            clean = b"".join(wire)
+            noisy = damage(clean)
+            decoder, runs = Decoder(), []
+            for at in range(0, len(noisy), 1 << 16):
+                runs += decoder.feed(noisy[at : at + (1 << 16)])
+                longest = max(longest, len(decoder._rest))
+            index = np.concatenate([run.t0_us.astype(np.int64) - first for run in runs])
+            for run in runs:
+                k = run.t0_us.astype(np.int64) - first
+                inside = (k >= 0) & (k < chunk)
+                content = np.ascontiguousarray(run.payload[:, 2:]).view("<i2").reshape(len(run), -1)
+                right = inside & (run.kind == 2) & (content.shape[1] == 10)
+                right &= (
+                    (content == codes.reshape(chunk, -1)[np.clip(k, 0, chunk - 1)]).all(axis=1)
+                    if content.shape[1] == 10
+                    else False
+                )
+                wrong += int((~right).sum())
+            if len(noisy) == len(clean) and not name.startswith("frames"):
+                missing += len(np.setdiff1d(untouched(clean, noisy, wire), index))
+            accepted, bad, frames = accepted + len(index), bad + decoder.bad_frames, frames + chunk
+        print(
+            f"{name}: {frames} frames, {accepted} accepted, {bad} damaged pieces, {wrong} wrong, {missing} good ones missed"
+        )
+        gates += [
+            (f"{name}: nothing wrong accepted", wrong == 0),
+            (f"{name}: back at the next delimiter", missing == 0),
+        ]
+        accepted_all, bad_all = accepted_all + accepted, bad_all + bad
+    print(
+        f"{accepted_all} frames accepted, {bad_all} damaged, {time.process_time() - started:.0f} s of processor time"
+    )
+    return [*gates, ("bounded memory", longest <= MAX_BODY), ("there were faults", bad_all > total // 100)]
+
+
+def untouched(clean: bytes, noisy: bytes, wire: list[bytes]) -> np.ndarray:
+    """Frames of which no byte, nor the zero before them, was changed."""
+    changed = np.frombuffer(clean, dtype=np.uint8) != np.frombuffer(noisy, dtype=np.uint8)
+    total = np.concatenate(([0], np.cumsum(changed)))
+    ends = np.cumsum([len(frame) for frame in wire])
+    starts = np.concatenate(([0], ends[:-1] - 1))
+    return np.flatnonzero(total[ends] == total[starts])
+
+
+def stuck(data: bytes, rng: np.random.Generator) -> bytes:
+    """Stretches of a line that is held low or high."""
+    stream = np.frombuffer(data, dtype=np.uint8).copy()
+    for start in rng.integers(0, len(stream) - 5000, 50):
+        stream[start : start + rng.integers(1, 5000)] = rng.choice([0x00, 0xFF, 0x55])
+    return stream.tobytes()
+
+
+def shuffled(data: bytes, rng: np.random.Generator) -> bytes:
+    """Frames cut short, sent twice, or exchanged with the next."""
+    frames = data.split(b"\0")[:-1]
+    out = []
+    for k, frame in enumerate(frames):
+        chance = rng.random()
+        if chance < 0.01:
+            out.append(frame[: rng.integers(1, len(frame))])
+        elif chance < 0.02:
+            out += [frame, frame]
+        elif chance < 0.03 and k:
+            out.insert(-1, frame)
+        else:
+            out.append(frame)
+    return b"\0".join(out) + b"\0"
+
+
+def simulated_day(sensor_path: str, hours: int) -> list[tuple[str, bool]]:
+    """`hours` at 1 kHz as fast as it goes: memory and the slowest filter of `current_squared` against its closed form."""
+    sensor = load_sensor(sensor_path)
+    estimator = Estimator(sensor, 1e-3)
+    n = 1000
+    voltage, row = np.full(n, 100.0), np.array([n - 1])
+    last = len(sensor.specification.filters) - 1
+    slow = max(
+        range(last + 1),
+        key=lambda k: (sensor.specification.filters[k].signal == "current_squared", sensor.bank.tau_s[k]),
+    )
+    signal, tau = sensor.specification.filters[slow].signal, sensor.bank.tau_s[slow]
+    exact, seconds = 0.0, 3600 * hours
+    started = time.process_time()
+    for second in range(seconds):
+        amperes = 8.0 if second // 1800 % 2 == 0 else 2.0
+        samples = Samples(second * 10**9 + np.arange(n) * 10**6, voltage, np.full(n, amperes))
+        estimator.push(samples, row)
+        value = amperes**2 if signal == "current_squared" else np.nan
+        exact = value + (exact - value) * np.exp(-1.0 / tau)
+        if second == seconds // 10:
+            gc.collect()
+            before = resident_kB()
+    gc.collect()
+    grown = resident_kB() - before
+    error = (
+        abs(sensor.bank.values(estimator.state.bank)[slow] / exact - 1)
+        if signal == "current_squared"
+        else np.nan
+    )
+    print(
+        f"{hours} h at 1 kHz in simulated time: memory {grown:+d} kB, slowest filter of current_squared ({tau:g} s) off "
+        f"its closed form by {error:.1e}, {seconds * n / (time.process_time() - started) / 1e6:.2f} million samples a second"
+    )
+    return [("memory flat within 1 MB", abs(grown) <= 1024), ("state exact to 1e-9", not error > 1e-9)]
+
+
+def resident_kB() -> int:
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize() // 1024
+
+
+if __name__ == "__main__":
+    sys.exit(main())
