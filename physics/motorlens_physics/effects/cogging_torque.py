@@ -14,7 +14,8 @@ class CoggingTorque(Effect):
     """Magnets pull the teeth of the armature into detents: -A sin(N phi + p).
 
     Zhu and Howe (2000), Influence of design parameters on cogging torque in permanent magnet machines,
-    doi:10.1109/60.900501. The shaft angle starts in a detent (phi = 0).
+    doi:10.1109/60.900501. The shaft angle starts in a detent (phi = 0). A detent passes within
+    milliseconds: simulate seconds of it, not hours.
 
     >>> from types import SimpleNamespace as At
     >>> round(CoggingTorque(A=0.05, N=7.0, p=0.3).torque(None, At(phi=0.2), None), 6)  # 0.05 sin(1.7)
