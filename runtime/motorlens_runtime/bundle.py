@@ -25,7 +25,13 @@ from motorlens_runtime.sensor import load_sensor
 
 MACHINES = ("x86_64", "aarch64")
 # What a publisher or source needs beyond the light runtime.
-_NEEDS = {"mqtt": "paho-mqtt", "parquet": "pyarrow", "can": "cantools", "opcua": "asyncua"}
+_NEEDS = {
+    "mqtt": "paho-mqtt",
+    "parquet": "pyarrow",
+    "can": "cantools",
+    "opcua": "asyncua",
+    "mcap": "mcap",
+}
 _FILES = ("motorlens.service", "99-motorlens.rules", "install.sh", "uninstall.sh")
 
 
