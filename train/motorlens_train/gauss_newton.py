@@ -17,6 +17,7 @@ Throughout, blocks are feature-major: inputs `[F, n]`, targets `[K, n]`.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -224,11 +225,21 @@ def _add_unit_pairs(architecture: Architecture, units: Tensor, columns: Tensor, 
 
 
 def _gather_hidden(architecture: Architecture, table: Tensor) -> Tensor:
-    unit, column = architecture.unit, architecture.column
-    return table[_pair_index(unit[:, None], unit), _pair_index(column[:, None], column)]
+    matrix: Tensor = table.view(-1)[_hidden_places(architecture)]
+    return matrix
 
 
 def _gather_cross(architecture: Architecture, table: Tensor) -> Tensor:
-    return table[
-        :, architecture.unit[:, None], _pair_index(architecture.column[:, None], architecture.output_reads)
-    ]
+    return table[:, architecture.unit[:, None], _cross_places(architecture)]
+
+
+@lru_cache(maxsize=8)
+def _hidden_places(architecture: Architecture) -> Tensor:
+    unit, column = architecture.unit, architecture.column
+    columns = _pairs(architecture.columns)
+    return _pair_index(unit[:, None], unit) * columns + _pair_index(column[:, None], column)
+
+
+@lru_cache(maxsize=8)
+def _cross_places(architecture: Architecture) -> Tensor:
+    return _pair_index(architecture.column[:, None], architecture.output_reads)
