@@ -349,10 +349,12 @@ def _report(
 ) -> Calibration:
     unknowns = problem.unknowns
     count = sum(unknown.recording is None for unknown in unknowns)
-    deviations = np.sqrt(np.diag(covariance))
+    widened = np.sqrt(np.diag(covariance))
+    # Blocks of time may disagree by more than the prior allows; the prior holds all the same.
+    deviations = np.minimum(widened, problem.sds)
     value = {unknown.key: unknown.value(q[j]) for j, unknown in enumerate(unknowns[:count])}
     sd = {u.key: float(deviations[j] * u.slope(value[u.key])) for j, u in enumerate(unknowns[:count])}
-    correlation = covariance[:count, :count] / np.outer(deviations[:count], deviations[:count])
+    correlation = covariance[:count, :count] / np.outer(widened[:count], widened[:count])
     unidentified = {}
     for j, unknown in enumerate(unknowns[:count]):
         left = deviations[j] / unknown.sd
