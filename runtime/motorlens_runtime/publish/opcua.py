@@ -5,7 +5,7 @@ what the quality word means (see `quality.opc_ua`). `quality_word` holds the wor
 
 It listens on this machine unless another address is given, without encryption: beyond this machine it belongs behind a
 gateway. The server runs in a thread; the newest row is written when the one before has been, and those between are counted
-as dropped. Starting it takes a few seconds, and it adds about 60 MB.
+as dropped. Starting it takes seconds and some memory; benchmarks/publishers.py prints how much.
 
 Source: OPC 10000-8 (DataAccess) for units, UNECE recommendation 20 for their codes.
 """
