@@ -155,7 +155,7 @@ class Gate:
             or not self._usual_rate
             or first < state.bridged_until_ns
             or first - state.first_ns < self._warm_up_ns
-            or (n > 1 and not (np.diff(time_ns) == self._period_ns).all())
+            or (n > 1 and not (time_ns[1:] - time_ns[:-1] == self._period_ns).all())
         ):
             return None
         envelope = self._specification.envelope

@@ -33,6 +33,7 @@ _ON_GRID_NS = 1_500
 # A stamp this far in the past is a restarted clock, not a frame that comes late.
 _RESTART_NS = 1_000_000_000
 _WRAP_NS = (1 << 32) * 1000
+_ONE = np.ones(1, dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,9 @@ class Link(Dialect):
             self._follow_sequence(run)
             kinds = run.kind
             start = 0
-            for end in [*(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(run)]:
+            for end in (
+                [*(np.flatnonzero(kinds[1:] != kinds[:-1]) + 1).tolist(), len(run)] if len(run) > 1 else (1,)
+            ):
                 self._take(_part(run, start, end), parts, now_ns)
                 start = end
         self.bad_frames = self._decoder.bad_frames
@@ -144,6 +147,12 @@ class Link(Dialect):
         self.hello, self._columns, self.complaint = hello, columns, None
 
     def _follow_sequence(self, run: FrameRun) -> None:
+        if len(run) == 1:
+            number = int(run.sequence[0])
+            step = 1 if self._sequence is None else (number - self._sequence) & 0xFFFF
+            self._count_of["lost_frames"] += step - 1 if 1 < step < 0x8000 else 0
+            self._sequence = number
+            return
         numbers = run.sequence.astype(np.int64)
         steps = (
             np.diff(numbers, prepend=numbers[0] - 1 if self._sequence is None else self._sequence) & 0xFFFF
@@ -181,6 +190,9 @@ class Link(Dialect):
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_], list[int]]:
         """Times (kept frames * n,), which frames are kept, and where (in ns) a sample of rest belongs."""
         frames = len(run)
+        if frames == 1 and self._on_grid(int(run.t0_us[0])):
+            self._count += n
+            return self._grid(np.arange(self._count - n, self._count)), _ONE, []
         raw_ns = run.t0_us.astype(np.int64) * 1000
         keep = np.ones(frames, dtype=bool)
         expected = self._grid(self._count + n * np.arange(frames))
@@ -198,6 +210,13 @@ class Link(Dialect):
                 times.append(self._grid(self._count + np.arange(n)))
                 self._count += n
         return np.concatenate(times) if times else np.zeros(0, dtype=np.int64), keep, rests
+
+    def _on_grid(self, t0_us: int) -> bool:
+        """Whether a stamp is the one expected next."""
+        if not self._started or self._restarted:
+            return False
+        ahead = (1000 * t0_us - self._offset_ns - self._next_ns() + _WRAP_NS // 2) % _WRAP_NS - _WRAP_NS // 2
+        return abs(ahead) <= _ON_GRID_NS
 
     def _place(self, raw_ns: int, says_restart: bool, now_ns: int) -> tuple[bool, int | None]:
         """Move the grid to where a frame says it is; whether the frame is of use, and the time of a rest before it."""
@@ -229,7 +248,9 @@ class Link(Dialect):
         return True, None
 
     def _next_ns(self) -> int:
-        return int(self._grid(np.array([self._count]))[0])
+        assert self.hello is not None
+        numerator, denominator = self.hello.rate_Hz
+        return self._anchor_ns + self._count * 10**9 * denominator // numerator
 
     def _grid(self, count: NDArray[np.int64]) -> NDArray[np.int64]:
         """Times of samples by their number since the anchor."""

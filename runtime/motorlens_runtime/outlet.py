@@ -22,6 +22,7 @@ Event = dict[str, Any]
 
 _MAX_ROWS = 1 << 16
 _FLUSH_S = 0.2
+_FIRST, _NONE = np.zeros(1, dtype=np.intp), np.zeros(0, dtype=np.intp)
 
 
 class Grid:
@@ -36,9 +37,14 @@ class Grid:
         if not self._period_ns or not len(time_ns):
             return np.arange(len(time_ns))
         ticks = time_ns // self._period_ns
-        picked = np.flatnonzero(np.diff(ticks, prepend=ticks[0] - 1 if self._last is None else self._last))
-        self._last = int(ticks[-1])
-        return picked
+        first, last = int(ticks[0]), int(ticks[-1])
+        before, self._last = self._last, last
+        if first == last:
+            return _FIRST if first != before else _NONE
+        new = np.empty(len(ticks), dtype=bool)
+        new[0] = first != before
+        np.not_equal(ticks[1:], ticks[:-1], out=new[1:])
+        return np.flatnonzero(new)
 
 
 def rows_of(estimates: Estimates, rows: NDArray[np.intp]) -> Estimates:

@@ -4,6 +4,7 @@ Driven by data, in blocks as large as what has arrived; no tick of the host. Whe
 published on, marked stale.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -65,7 +66,7 @@ class Service:
         self._period_s: float | None = None
         self._samples = self._published = 0
         self._first_ns: int | None = None
-        self._reasons = np.zeros(32, dtype=np.int64)
+        self._words = Counter[int]()  # how many estimates had which quality word
         self._latency_ns = np.zeros(_LATENCIES)
         self._started_ns = 0
         self._blocks = 0
@@ -119,7 +120,9 @@ class Service:
         shares = {"p50": 50, "p99": 99, "p999": 99.9, "max": 100}
         feed = self._feed.report()
         flagged = {
-            bit.name.lower(): int(self._reasons[bit.value.bit_length() - 1]) for bit in Quality if bit.name
+            bit.name.lower(): sum(times for word, times in self._words.items() if word & bit)
+            for bit in Quality
+            if bit.name
         }
         return {
             "schema": "motorlens.run/1",
@@ -166,8 +169,11 @@ class Service:
 
     def _hand_out(self, estimates: Estimates) -> None:
         self._published += len(estimates)
-        for bit in range(32):
-            self._reasons[bit] += np.count_nonzero(estimates.quality & np.uint32(1 << bit))
+        if len(estimates) == 1:
+            self._words[int(estimates.quality[0])] += 1
+        else:
+            words, times = np.unique(estimates.quality, return_counts=True)
+            self._words.update(dict(zip(words.tolist(), times.tolist(), strict=True)))
         for outlet in self._outlets:
             outlet.put(estimates)
         for event in [] if self._watch is None else self._watch.look(estimates):
