@@ -3,6 +3,7 @@
 import doctest
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 import sympy
 from helpers.effect_contract import PLATES
 
+from motorlens_physics.calibration import calibrate
 from motorlens_physics.describe import CITATION
-from motorlens_physics.scenario import scenarios
+from motorlens_physics.motor_file import read_motor_file, with_overrides
+from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import CHANNELS, UNIT_OF_CHANNEL, sensor_catalogue, sensor_models
 from motorlens_physics.sensors.clipping import SensorClipping
 from motorlens_physics.sensors.dead import SensorDead
@@ -147,6 +150,45 @@ def test_a_lag_takes_any_step_over_its_time_constant():
         shown = SensorLag("speed", tau=tau).record(TIME, TRUE, rng())
         assert np.isfinite(shown).all() and np.max(np.abs(shown - TRUE)) < np.ptp(TRUE) + 1e-9
     np.testing.assert_allclose(SensorLag("speed", tau=1e-9).record(TIME, TRUE, rng()), TRUE, atol=1e-6)
+
+
+def test_a_lag_is_the_same_on_even_and_uneven_times():
+    lag = SensorLag("speed", tau=0.05)
+    even = np.linspace(0.0, 2.0, 401)
+    uneven = even.copy()
+    uneven[-1] += 1e-4  # one step differs, so that the general recursion runs
+    np.testing.assert_allclose(
+        lag.record(even, np.sin(9 * even), rng())[:-1],
+        lag.record(uneven, np.sin(9 * even), rng())[:-1],
+        rtol=1e-12,
+    )
+
+
+SIZES = {
+    "speed_sensor_lag.tau": 0.02,
+    "current_sensor_lag.tau": 0.002,
+    "speed_sensor_gain.gain": 1.04,
+    "current_sensor_offset.offset": 0.2,
+    "voltage_sensor_gain.gain": 1.03,
+    "temperature_sensor_offset.offset": 2.0,
+}
+
+
+@pytest.mark.parametrize("key", SIZES)
+def test_simulate_and_recover(key):
+    """Faults are found again by calibration, lags by their true filter, not to first order."""
+    file = read_motor_file(Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml")
+    truth = with_overrides(file, {key: SIZES[key]})
+    random = np.random.default_rng(4)
+    noise = {"current": 0.015, "speed": 0.4, "temperature": 0.2}
+    data = measure(perform(truth, scenarios()["no_load_steps"](), random), truth.sensors, noise, random)
+    fault = truth.sensors[0]
+    found = calibrate(replace(file, sensors=(fault.at_null(file.rated),)), [data], [key], held=True)
+    assert found.converged
+    assert abs(found.value[key] - SIZES[key]) < max(
+        4 * found.sd[key], 1e-2 * abs(SIZES[key] - fault.switch().null)
+    )
+    assert found.sd[key] < 0.1 * abs(SIZES[key] - fault.switch().null)
 
 
 def test_first_order_of_a_small_lag_is_the_pointwise_reading():

@@ -39,17 +39,22 @@ class SensorLag(SensorModel):
         return shown + self.tau * rate
 
     def record(self, time_s: Array, y: Array, rng: np.random.Generator) -> Array:
+        from scipy.signal import lfilter
+
         if self.tau == 0 or len(y) < 2:
             return y.copy()
+        # On a ramp the sensor settles tau times the slope behind; only the distance from there decays. Before the first
+        # sample the quantity is taken to have rested.
         dt = np.diff(time_s)
         keep = np.exp(-dt / self.tau)
-        ramp = np.diff(y) / dt
+        slope = np.diff(y) / dt
+        settled = y[:-1] - self.tau * slope
+        drive = settled * (1 - keep) + slope * dt
         shown = np.empty_like(y)
-        # Before the first sample the quantity is taken to have rested.
-        shown[0] = behind = y[0]
+        shown[0] = y[0]
+        if np.ptp(dt) < 1e-7 * dt[0]:
+            shown[1:] = lfilter([1.0], [1.0, -keep[0]], drive, zi=[keep[0] * y[0]])[0]
+            return shown
         for k in range(len(dt)):
-            # On a ramp the sensor settles tau times the slope behind; only the distance from there decays.
-            settled = y[k] - self.tau * ramp[k]
-            behind = settled + ramp[k] * dt[k] + (behind - settled) * keep[k]
-            shown[k + 1] = behind
+            shown[k + 1] = keep[k] * shown[k] + drive[k]
         return shown
