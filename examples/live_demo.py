@@ -119,23 +119,35 @@ def table(rows: list[Row], truth: Recording) -> None:
 
 
 def picture(rows: list[Row], truth: Recording, path: Path) -> None:
-    """Estimate with a two-sigma band over the truth, one panel a quantity."""
+    """Estimate over truth on the left, the error and its two-sigma band on the right; one row a quantity."""
     from matplotlib import pyplot
 
     time = np.array([row["time_s"] for row in rows])
     true = true_values(truth)
-    figure, panels = pyplot.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
+    figure, panels = pyplot.subplots(
+        3, 2, figsize=(12, 7), sharex=True, layout="constrained", width_ratios=(3, 2)
+    )
     titles = ("speed, rad/s", "winding rise, K", "resistance, ohm")
-    for axes, title, (name, _, column, deviation) in zip(panels, titles, QUANTITIES, strict=True):
+    for (left, right), title, (name, _, column, deviation) in zip(panels, titles, QUANTITIES, strict=True):
         estimate, sd = (np.array([row[heading] for row in rows]) for heading in (column, deviation))
-        axes.plot(truth.time_s, true[name], color="#333333", linewidth=0.9, label="truth (no sensor sees it)")
-        axes.plot(time, estimate, color="#1f5fa8", linewidth=1.2, label="estimate from voltage and current")
-        axes.fill_between(time, estimate - 2 * sd, estimate + 2 * sd, color="#1f5fa8", alpha=0.2, linewidth=0)
-        axes.set_ylabel(title)
-        axes.grid(alpha=0.25)
-    panels[0].legend(loc="upper right", fontsize="small")
-    panels[-1].set_xlabel("device time, s")
-    figure.savefig(path, dpi=130)
+        error = estimate - np.interp(time, truth.time_s, true[name])
+        left.plot(truth.time_s, true[name], color="#9aa3af", linewidth=2.6, label="truth (no sensor sees it)")
+        left.plot(time, estimate, color="#1f5fa8", linewidth=1.0, label="estimate from voltage and current")
+        right.fill_between(
+            time, -2 * sd, 2 * sd, color="#1f5fa8", alpha=0.2, linewidth=0, label="stated: two sd"
+        )
+        right.plot(time, error, color="#c2410c", linewidth=0.8, label="error")
+        # A step of the load shows for a moment as a large error of the speed; the panel is for the rest of the time.
+        limit = 1.5 * max(float(np.quantile(np.abs(error), 0.98)), 2 * float(np.median(sd)))
+        right.set(ylim=(-limit, limit), ylabel=f"error, {title.rpartition(' ')[2]}")
+        left.set_ylabel(title)
+        for axes in (left, right):
+            axes.grid(alpha=0.25)
+    panels[0, 0].legend(loc="lower right", fontsize="small")
+    panels[0, 1].legend(loc="lower right", fontsize="small")
+    for axes in panels[-1]:
+        axes.set_xlabel("device time, s")
+    figure.savefig(path, dpi=110)
     pyplot.close(figure)
 
 
