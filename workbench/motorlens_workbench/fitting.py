@@ -115,7 +115,7 @@ def part_prior(file: MotorFile, name: str) -> Prior:
         typical = what.typical(file.rated)
         # The switch is free; a shape is known within a factor of a few.
         centre[key] = what.null if what.null is not None else getattr(part, parameter)
-        sd[key] = 30 * abs(typical) if what.null is not None else max(abs(centre[key]), 0.3 * abs(typical), 1e-12)
+        sd[key] = 30 * abs(typical) if what.null is not None else max(abs(centre[key]), what.sd(file.rated))
         bounds[key] = what.bounds
     return Prior(centre, sd, bounds)
 
