@@ -20,9 +20,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.dialects.options import Options, nearest
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.options import Options, nearest
 from motorlens_runtime.quality import Quality
 from motorlens_runtime.specification import Output, Specification
 

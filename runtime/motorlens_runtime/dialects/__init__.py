@@ -11,9 +11,9 @@ import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
-from motorlens_runtime.dialects.options import Options, nearest
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.options import Options, nearest
 
 
 class Dialect(ABC):
@@ -66,9 +66,7 @@ def make_dialect(name: str, options: Mapping[str, str] | None = None) -> Dialect
 def dialect_names() -> list[str]:
     """The names that `make_dialect` knows: the modules of this package that are not helpers."""
     return sorted(
-        info.name
-        for info in pkgutil.iter_modules(__path__)
-        if info.name not in ("options", "quantities", "stamps")
+        info.name for info in pkgutil.iter_modules(__path__) if info.name not in ("quantities", "stamps")
     )
 
 

@@ -35,10 +35,10 @@ from typing import Any, Literal
 import numpy as np
 
 from motorlens_runtime.dialects import Dialect
-from motorlens_runtime.dialects.options import Options, nearest
 from motorlens_runtime.dialects.quantities import Assembler, conversion, empty_samples, require_channels
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.options import Options, nearest
 
 _TYPES = {
     f"{kind}{8 * size}": f"{code}{size}" for kind, code in (("u", "u"), ("i", "i")) for size in (1, 2, 4, 8)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from motorlens_runtime.dialects import Dialect
-from motorlens_runtime.dialects.options import Options, nearest
 from motorlens_runtime.dialects.quantities import (
     QUANTITIES,
     Assembler,
@@ -24,6 +23,7 @@ from motorlens_runtime.dialects.quantities import (
 )
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.options import Options, nearest
 
 CLASSIC = struct.Struct("=IB3x8s")
 FLEXIBLE = struct.Struct("=IBB2x64s")

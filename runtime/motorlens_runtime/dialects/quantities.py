@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.columns import understand
-from motorlens_runtime.dialects.options import nearest
 from motorlens_runtime.dialects.stamps import ArrivalStamps, DeviceStamps, RateStamps
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.options import nearest
 
 Array = NDArray[np.float64]
 

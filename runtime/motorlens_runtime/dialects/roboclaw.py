@@ -19,9 +19,9 @@ import struct
 import numpy as np
 
 from motorlens_runtime.dialects import Dialect
-from motorlens_runtime.dialects.options import Options
 from motorlens_runtime.dialects.quantities import Assembler, empty_samples
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.options import Options
 
 READ_SUPPLY, READ_PWM, READ_CURRENT = 24, 48, 49
 # In the order of asking: what changes fastest is asked last and next to each other.

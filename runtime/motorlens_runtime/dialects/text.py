@@ -22,10 +22,10 @@ import numpy as np
 
 from motorlens_runtime.columns import Column, understand
 from motorlens_runtime.dialects import Dialect
-from motorlens_runtime.dialects.options import Options
 from motorlens_runtime.dialects.quantities import Assembler, concatenate, conversion, require_channels
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.options import Options
 
 _MAX_LINE = 4096
 _MAX_FIELDS = 64

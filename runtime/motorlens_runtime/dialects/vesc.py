@@ -18,9 +18,9 @@ import struct
 import numpy as np
 
 from motorlens_runtime.dialects import Dialect
-from motorlens_runtime.dialects.options import Options
 from motorlens_runtime.dialects.quantities import Assembler, empty_samples
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.options import Options
 
 COMM_GET_VALUES = 4
 COMM_GET_VALUES_SELECTIVE = 50

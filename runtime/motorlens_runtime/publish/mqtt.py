@@ -24,9 +24,9 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from motorlens_runtime.dialects.options import Options
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.options import Options
 from motorlens_runtime.publish import Header, address_of
 from motorlens_runtime.publish.jsonl import documents
 from motorlens_runtime.quality import OpcUa, opc_ua

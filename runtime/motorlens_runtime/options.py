@@ -1,4 +1,4 @@
-"""Options of a dialect or publisher, as they stand in a URL: read once, each by name, and nothing left over."""
+"""Options of a dialect, publisher or alarm, as they stand in a URL: read once, each by name, and nothing left over."""
 
 import difflib
 import math
