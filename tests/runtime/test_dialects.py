@@ -312,6 +312,13 @@ def test_text_starts_anew_with_a_new_heading():
     assert dialect.bad_frames == 2
 
 
+def test_a_heading_without_a_time_after_one_with_it_does_not_step_back():
+    dialect = Text()
+    first = dialect.feed(b"t[s],v[V],i[A]\n4,12,1\n0.001,12,1\n", 5 * MS)
+    second = dialect.feed(b"v[V],i[A]\n12,1\n", 6 * MS)
+    assert second.time_ns[0] >= first.time_ns[-1]
+
+
 def test_what_a_line_speaks_is_recognised():
     from motorlens_runtime import framing
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.columns import understand
-from motorlens_runtime.dialects.stamps import ArrivalStamps, DeviceStamps, RateStamps
+from motorlens_runtime.dialects.stamps import ArrivalStamps, DeviceStamps, RateStamps, Times
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
 from motorlens_runtime.options import nearest
@@ -55,6 +55,7 @@ class Assembler:
     def __init__(self, modulus_ns: int | None = None, rate_Hz: float | None = None) -> None:
         self._device = DeviceStamps(modulus_ns)
         self._counted = RateStamps(rate_Hz) if rate_Hz else ArrivalStamps()
+        self._last_ns = int(np.iinfo(np.int64).min)
 
     def samples(self, columns: Mapping[str, Array], now_ns: int) -> Samples:
         """Samples from columns (n,) in SI named as in `QUANTITIES`; rows whose time is not finite are left out."""
@@ -62,14 +63,23 @@ class Assembler:
         voltage = columns["voltage"] if "voltage" in columns else columns["duty"] * columns["supply_voltage"]
         ambient = columns.get("ambient")
         if "time" not in columns:
-            return Samples(self._counted.host_times(len(current), now_ns), voltage, current, ambient)
+            return Samples(
+                self._forward(self._counted.host_times(len(current), now_ns)), voltage, current, ambient
+            )
         # 2^62 ns are 146 years; beyond, it is no time.
         usable = np.abs(columns["time"]) < 4.6e9
         if not usable.all():
             voltage, current = voltage[usable], current[usable]
             ambient = None if ambient is None else ambient[usable]
         device_ns = np.round(columns["time"][usable] * 1e9).astype(np.int64)
-        return Samples(self._device.host_times(device_ns, now_ns), voltage, current, ambient)
+        return Samples(self._forward(self._device.host_times(device_ns, now_ns)), voltage, current, ambient)
+
+    def _forward(self, times: Times) -> Times:
+        """The same, never before the last: messages with a time and such without may follow one another."""
+        if len(times):
+            times = np.maximum(times, self._last_ns)
+            self._last_ns = int(times[-1])
+        return times
 
 
 def concatenate(blocks: Sequence[Samples]) -> Samples:
