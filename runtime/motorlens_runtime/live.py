@@ -21,6 +21,7 @@ from motorlens_runtime.outlet import Outlet
 from motorlens_runtime.recorder import Recorder
 from motorlens_runtime.sensor import load_sensor
 from motorlens_runtime.service import Service, Settings
+from motorlens_runtime.swap import Swap
 
 
 def run_live(arguments: argparse.Namespace) -> int:
@@ -52,6 +53,11 @@ def run_live(arguments: argparse.Namespace) -> int:
         recorder = Recorder(arguments.record) if arguments.record else None
         if recorder is not None:
             stack.callback(recorder.close)
+        swap = None
+        if arguments.swap is not None:
+            swap = Swap(arguments.sensor, arguments.backend, arguments.swap)
+            swap.start()
+            stack.callback(swap.close)
         memory = Memory(arguments.memory, sensor) if arguments.memory else None
         service = Service(
             feed,
@@ -62,6 +68,7 @@ def run_live(arguments: argparse.Namespace) -> int:
             clock,
             watch=watch,
             memory=memory,
+            swap=swap,
         )
         # What is alive now stays alive: the collector need not look at it again.
         gc.collect()
@@ -103,6 +110,12 @@ def _stopping() -> Iterator[Any]:
             signal.signal(number, handler)
 
 
+def _event_line(event: dict[str, Any]) -> str:
+    if event["event"] != "alarm":
+        return str(event["message"])
+    return f"alarm {'on' if event['active'] else 'off'}: {event['alarm']}: {event['message']}"
+
+
 def _say(report: dict[str, Any]) -> None:
     """The summary on standard error: a few lines for a person."""
     feed = report["feed"]
@@ -134,8 +147,6 @@ def _say(report: dict[str, Any]) -> None:
     memory = report["memory"]
     if memory and memory["message"]:
         lines.append(memory["message"])
-    lines += [
-        f"alarm {'on' if e['active'] else 'off'}: {e['alarm']}: {e['message']}" for e in report["events"][-5:]
-    ]
+    lines += [_event_line(event) for event in report["events"][-5:]]
     for line in lines:
         print(f"motorlens run: {line}", file=sys.stderr)

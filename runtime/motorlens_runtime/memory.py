@@ -80,6 +80,10 @@ class Memory:
         if state is not None:
             self._save(snapshot.take(self._sensor, device, state, self._wall_clock()))
 
+    def follow(self, sensor: Sensor) -> None:
+        """Keep the state of another sensor from now on."""
+        self._sensor = sensor
+
     def report(self) -> dict[str, Any]:
         """Whether heat was remembered, what was said about it, and how often it was kept."""
         return {

@@ -41,6 +41,7 @@ class Observer:
     """The observer of a sensor, from `observer` in its specification.
 
     Attributes:
+        document: as it stands in the file.
         outputs: how many numbers `read` gives.
         ambient_C: the ambient temperature where none is measured.
 
@@ -49,6 +50,7 @@ class Observer:
     """
 
     def __init__(self, document: dict[str, Any]) -> None:
+        self.document = document
         self.outputs = len(document["outputs"])
         self.ambient_C = float(document["ambient_C"])
         self._full_s = float(document["period_s"]) * _FULL

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_runtime.alarms import Watch
 from motorlens_runtime.estimator import Estimates, Estimator, EstimatorState
@@ -20,6 +21,7 @@ from motorlens_runtime.outlet import Grid, Outlet
 from motorlens_runtime.quality import Quality
 from motorlens_runtime.recorder import Recorder
 from motorlens_runtime.sensor import Sensor
+from motorlens_runtime.swap import Swap
 
 _WAIT_S = 0.05
 # The stream may lie this far behind its own best before the PC counts as too slow.
@@ -50,16 +52,17 @@ class Service:
         state: where the estimator goes on; None is a fresh start, or what `memory` recalls.
         watch: the alarms.
         memory: the heat of earlier runs.
+        swap: takes a new sensor file into service.
     """
 
     def __init__(
         self, feed: Feed, sensor: Sensor, outlets: Sequence[Outlet], recorder: Recorder | None, settings: Settings,
         clock: Callable[[], int], state: EstimatorState | None = None, watch: Watch | None = None,
-        memory: Memory | None = None,
+        memory: Memory | None = None, swap: Swap | None = None,
     ) -> None:  # fmt: skip
         self._feed, self._sensor, self._outlets, self._recorder = feed, sensor, outlets, recorder
         self._settings, self._clock, self._state = settings, clock, state
-        self._watch, self._memory = watch, memory
+        self._watch, self._memory, self._swap = watch, memory, swap
         self._events: list[dict[str, Any]] = []
         self._grid = Grid(settings.rate_Hz)
         self._estimator: Estimator | None = None
@@ -102,7 +105,10 @@ class Service:
             self._recorder.put(samples)
         if self._first_ns is None:
             self._first_ns = int(samples.time_ns[0])
-        estimates = estimator.push(samples, self._grid.rows(samples.time_ns))
+        rows = self._grid.rows(samples.time_ns)
+        estimates = estimator.push(samples, rows)
+        if self._swap is not None:
+            estimator, estimates = self._follow(self._swap, estimator, samples, rows, estimates)
         self._samples += len(samples)
         self._largest_block = max(self._largest_block, len(samples))
         self._latest_arrival_ns = arrival_ns
@@ -177,10 +183,26 @@ class Service:
         for outlet in self._outlets:
             outlet.put(estimates)
         for event in [] if self._watch is None else self._watch.look(estimates):
-            document = event.document()
-            self._events = [*self._events[-99:], document]
-            for outlet in self._outlets:
-                outlet.put_event(document)
+            self._tell(event.document())
+
+    def _tell(self, document: dict[str, Any]) -> None:
+        """An event to all publishers and into the report."""
+        self._events = [*self._events[-99:], document]
+        for outlet in self._outlets:
+            outlet.put_event(document)
+
+    def _follow(
+        self, swap: Swap, estimator: Estimator, samples: Samples, rows: NDArray[np.intp], estimates: Estimates
+    ) -> tuple[Estimator, Estimates]:
+        assert self._period_s is not None
+        following, estimates = swap.follow(estimator, self._period_s, samples, rows, estimates)
+        while swap.events:
+            self._tell(swap.events.popleft())
+        if following is not estimator:
+            self._estimator, self._sensor = following, following.sensor
+            if self._memory is not None:
+                self._memory.follow(following.sensor)
+        return following, estimates
 
     def _stale(self) -> None:
         """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale."""

@@ -207,3 +207,23 @@ def test_an_observer_alone_without_filters(tmp_path):
     samples = start_up(200)
     result = run(load_sensor(tmp_path / "s.onnx"), samples)
     assert np.abs(result.values - network(features(spec, None, samples.voltage_V))[0]).max() < 2e-5 * 120
+
+
+def test_heat_in_an_observer_is_remembered(trained, tmp_path):
+    """Warm, off for an hour, restored from the file: the observer stands where a rest of an hour would have brought it."""
+    snapshot = pytest.importorskip("motorlens_runtime.snapshot")
+    write_sensor(tmp_path / "s.onnx", spec=spec_with(trained), features=features_with(trained))
+    sensor = load_sensor(tmp_path / "s.onnx")
+    estimator = Estimator(sensor, 1e-3)
+    estimator.push(start_up(3000))
+    snapshot.save(tmp_path / "heat", snapshot.take(sensor, "d", estimator.state, 10**18))
+    restored = snapshot.restore(snapshot.load(tmp_path / "heat"), sensor, "d", 10**18 + 3600 * 10**9)
+    observer, rest = sensor.extractor.observer, np.zeros(1)
+    rested = (rest, rest, None, np.full(1, 3600.0), np.ones(1, dtype=bool), None)
+    expected, read = observer.advance(estimator.state.observer, *rested)
+    assert restored.state.observer == expected
+    rise = trained.outputs.index("temperature")
+    _, before = observer.advance(
+        estimator.state.observer, rest, rest, None, rest, np.zeros(1, dtype=bool), None
+    )
+    assert 0 < read[0, rise] < 0.7 * before[0, rise]

@@ -36,6 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="publish an event when it is passed: temperature>90,hysteresis=5 or temperature>90,within_s=120",
     )
     parser.add_argument(
+        "--swap",
+        type=float,
+        metavar="S",
+        help="when the sensor file changes, run the new one beside for so many seconds, then take it into service",
+    )
+    parser.add_argument(
         "--memory", metavar="FILE", help="remember the motor's heat here, over restarts of this program"
     )
     parser.add_argument(
