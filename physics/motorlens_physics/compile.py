@@ -30,7 +30,7 @@ import numpy as np
 from numba import boolean, float64, int64, njit, types
 
 Vector = Matrix = Any = object
-options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
 v = float64[::1]
 m = float64[:, ::1]
 mm = float64[:, :, ::1]
