@@ -78,7 +78,9 @@ class Bound:
 class Prior:
     """Standard deviations before the first sample, by state; those not named are known exactly."""
 
-    sd: Mapping[str, float] = field(default_factory=lambda: {"w": 50.0, "theta": 40.0, "load": 10.0, "i": 1.0})
+    sd: Mapping[str, float] = field(
+        default_factory=lambda: {"w": 50.0, "theta": 40.0, "load": 10.0, "i": 1.0}
+    )
 
 
 def bound(
@@ -163,7 +165,7 @@ def bound_of_recording(
     return bound(motor, recording.time_s, states, c["voltage"], c["ambient"], noise, prior, changes)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def transition(A: Array, dt: float) -> Array:  # pragma: no cover - compiled
     """exp(A dt) by scaling, Taylor's series and squaring."""
     n = A.shape[0]
@@ -188,7 +190,7 @@ def transition(A: Array, dt: float) -> Array:  # pragma: no cover - compiled
     return F
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def riccati(
     time: Array, A: Array, P: Array, walks: Array, changes: Array, load: int, drive: Array, r: float,
     resting: NDArray[np.bool_], w: int,

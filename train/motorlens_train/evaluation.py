@@ -70,7 +70,10 @@ class Evaluation:
             "rows": int(sum(trace.counted.sum() for trace in self.traces)),
             "units": UNITS,
             "methods": {
-                name: {output: {key: number(value) for key, value in vars(score).items()} for output, score in row.items()}
+                name: {
+                    output: {key: number(value) for key, value in vars(score).items()}
+                    for output, score in row.items()
+                }
                 for name, row in self.scores.items()
             },
             "coverage_by_excitation": {
@@ -115,21 +118,38 @@ def evaluate(
         limits = None
         if noise is not None:
             if all(recording.has(quantity) for quantity in ("load_torque", "ambient", "temperature")):
-                limits = bound_of_recording(motor_file.motor, recording, noise, prior or plate_prior(motor_file)).outputs
+                limits = bound_of_recording(
+                    motor_file.motor, recording, noise, prior or plate_prior(motor_file)
+                ).outputs
             else:
                 notes.append(f"{recording.name}: no bound, which needs load torque, ambient and temperature")
         found = {name: method.estimate(recording) for name, method in methods.items()}
         traces.append(
-            Trace(recording, truth(recording, motor_file), found, limits, counted(recording, motor_file), idle(recording, motor_file))
+            Trace(
+                recording,
+                truth(recording, motor_file),
+                found,
+                limits,
+                counted(recording, motor_file),
+                idle(recording, motor_file),
+            )
         )
-    scores = {name: {output: _score(traces, name, k, motor_file) for k, output in enumerate(OUTPUTS)} for name in methods}
+    scores = {
+        name: {output: _score(traces, name, k, motor_file) for k, output in enumerate(OUTPUTS)}
+        for name in methods
+    }
     return Evaluation(scores, tuple(traces), tuple(notes))
 
 
 def plate_prior(motor_file: MotorFile) -> Prior:
     """An unknown start: anything the rating plate allows."""
     rated = motor_file.rated
-    sd = {"i": rated.current_A, "w": rated.speed_rad_s / 4, "theta": 0.45 * rated.rise_K, "load": rated.torque_Nm}
+    sd = {
+        "i": rated.current_A,
+        "w": rated.speed_rad_s / 4,
+        "theta": 0.45 * rated.rise_K,
+        "load": rated.torque_Nm,
+    }
     slow = {"theta_m": 0.3 * rated.rise_K, "theta_h": 0.3 * rated.rise_K}
     return Prior(sd | slow)
 
@@ -162,10 +182,14 @@ def text_table(evaluation: Evaluation) -> str:
     """The scores as lines of text: one line a method, for each output rms, max, steady, coverage and ratio to the bound."""
     lines = []
     for output in OUTPUTS:
-        rows = [(name, row[output]) for name, row in evaluation.scores.items() if np.isfinite(row[output].rms)]
+        rows = [
+            (name, row[output]) for name, row in evaluation.scores.items() if np.isfinite(row[output].rms)
+        ]
         if not rows:
             continue
-        lines.append(f"{output + ' (' + UNITS[output] + ')':<26}{'rms':>10}{'max':>10}{'steady':>10}{'in 95 %':>10}{'x bound':>10}")
+        lines.append(
+            f"{output + ' (' + UNITS[output] + ')':<26}{'rms':>10}{'max':>10}{'steady':>10}{'in 95 %':>10}{'x bound':>10}"
+        )
         for name, score in rows:
             share = f"{100 * score.coverage:.1f} %" if np.isfinite(score.coverage) else "-"
             ratio = f"{score.ratio:.2f}" if np.isfinite(score.ratio) else "-"

@@ -23,7 +23,9 @@ def draw(evaluation: Evaluation, best: str) -> Any:
     from matplotlib import pyplot
 
     outputs = [k for k, output in enumerate(OUTPUTS) if np.isfinite(evaluation.scores[best][output].rms)]
-    figure, axes = pyplot.subplots(5, len(outputs), figsize=(5.2 * len(outputs), 17), squeeze=False, layout="constrained")
+    figure, axes = pyplot.subplots(
+        5, len(outputs), figsize=(5.2 * len(outputs), 17), squeeze=False, layout="constrained"
+    )
     for column, k in enumerate(outputs):
         output, unit = OUTPUTS[k], UNITS[OUTPUTS[k]]
         _overlay(axes[0, column], evaluation.traces[0], best, k)
@@ -69,7 +71,9 @@ def _overlay(axis: Any, trace: Trace, best: str, k: int) -> None:
     time, estimate = trace.recording.time_s, trace.estimates[best]
     some = slice(None, None, max(1, len(time) // _POINTS))
     value, sd = estimate.values[some, k], estimate.sds[some, k]
-    axis.fill_between(time[some], value - COVERAGE_SD * sd, value + COVERAGE_SD * sd, alpha=0.25, lw=0, label="95 %")
+    axis.fill_between(
+        time[some], value - COVERAGE_SD * sd, value + COVERAGE_SD * sd, alpha=0.25, lw=0, label="95 %"
+    )
     axis.plot(time[some], value, lw=1, label=best)
     axis.plot(time[some], trace.truth[some, k], "k--", lw=0.8, label="truth")
     span = trace.truth[trace.counted, k]
@@ -88,8 +92,20 @@ def _since_excitation(axis: Any, evaluation: Evaluation, best: str, k: int) -> N
     place = np.clip(np.searchsorted(edges, idle, side="right") - 1, 0, max(len(edges) - 2, 0))
     bins = [place == j for j in range(max(len(edges) - 1, 1))]
     middle = [float(np.median(idle[b])) for b in bins if b.any()]
-    axis.plot(middle, [float(np.sqrt(np.nanmean(error[b] ** 2))) for b in bins if b.any()], "o-", ms=3, label="rms error")
-    axis.plot(middle, [float(np.sqrt(np.nanmean(sd[b] ** 2))) for b in bins if b.any()], "s--", ms=3, label="published sd")
+    axis.plot(
+        middle,
+        [float(np.sqrt(np.nanmean(error[b] ** 2))) for b in bins if b.any()],
+        "o-",
+        ms=3,
+        label="rms error",
+    )
+    axis.plot(
+        middle,
+        [float(np.sqrt(np.nanmean(sd[b] ** 2))) for b in bins if b.any()],
+        "s--",
+        ms=3,
+        label="published sd",
+    )
     axis.set(xlabel="time since last excitation (s)", ylabel=UNITS[OUTPUTS[k]], ylim=(0, None))
     axis.legend(fontsize=8)
 
@@ -119,17 +135,26 @@ def _coverage(axis: Any, evaluation: Evaluation, best: str, k: int) -> None:
     from scipy.stats import norm
 
     z = np.concatenate(
-        [np.abs((t.estimates[best].values - t.truth) / t.estimates[best].sds)[t.counted, k] for t in evaluation.traces]
+        [
+            np.abs((t.estimates[best].values - t.truth) / t.estimates[best].sds)[t.counted, k]
+            for t in evaluation.traces
+        ]
     )
     nominal = np.linspace(0.02, 0.995, 60)
-    axis.plot(nominal, [float(np.mean(z[np.isfinite(z)] <= norm.ppf(0.5 + p / 2))) for p in nominal], label=best)
+    axis.plot(
+        nominal, [float(np.mean(z[np.isfinite(z)] <= norm.ppf(0.5 + p / 2))) for p in nominal], label=best
+    )
     axis.plot([0, 1], [0, 1], "k--", lw=0.8)
     axis.set(xlabel="nominal coverage", ylabel="coverage found", xlim=(0, 1), ylim=(0, 1))
 
 
 def _ladder(axis: Any, evaluation: Evaluation, k: int) -> None:
     """Root mean square error of every method, and of the bound."""
-    scores = {name: row[OUTPUTS[k]].rms for name, row in evaluation.scores.items() if np.isfinite(row[OUTPUTS[k]].rms)}
+    scores = {
+        name: row[OUTPUTS[k]].rms
+        for name, row in evaluation.scores.items()
+        if np.isfinite(row[OUTPUTS[k]].rms)
+    }
     bounds = [t.bound[t.counted, k] for t in evaluation.traces if t.bound is not None]
     if bounds:
         scores["bound"] = float(np.sqrt(np.mean(np.concatenate(bounds) ** 2)))

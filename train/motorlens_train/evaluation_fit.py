@@ -24,7 +24,11 @@ def simulated_duty(
         rate_Hz: samples per second.
         noise: standard deviation by channel; None: 0.2 % of rated voltage and 0.7 % of rated current.
     """
-    sizes = {"voltage": 0.002 * file.rated.voltage_V, "current": 0.007 * file.rated.current_A} if noise is None else noise
+    sizes = (
+        {"voltage": 0.002 * file.rated.voltage_V, "current": 0.007 * file.rated.current_A}
+        if noise is None
+        else noise
+    )
     scenario = chosen_scenario("duty", duration_s, rate_Hz)
     return [measure(perform(file, scenario, rng), file.sensors, sizes, rng) for _ in range(cycles)]
 
@@ -36,4 +40,6 @@ def plate_of(recordings: Sequence[Recording]) -> Rated:
         values = [np.nanmax(np.abs(r.channels[quantity])) for r in recordings if r.has(quantity)]
         return float(max(values, default=otherwise)) or otherwise
 
-    return Rated(largest("voltage", 1.0), largest("current", 1.0), largest("speed", 1.0), largest("load_torque", 1.0))
+    return Rated(
+        largest("voltage", 1.0), largest("current", 1.0), largest("speed", 1.0), largest("load_torque", 1.0)
+    )

@@ -40,7 +40,9 @@ class SensorFile:
         ambient = None
         if self.bank.ambient:
             if not recording.has("ambient"):
-                raise DataError(f"{recording.name}: {self.name} needs the ambient temperature: an ambient_C column")
+                raise DataError(
+                    f"{recording.name}: {self.name} needs the ambient temperature: an ambient_C column"
+                )
             ambient = recording.channels["ambient"]
         features = feature_rows(self.bank, time, v, i, None, ambient, self.first_dt_s)
         features = features.astype(np.float64 if self.kind == "tensor(double)" else np.float32)

@@ -28,8 +28,10 @@ from motorlens_train.observer_model import Equations, equations
 from motorlens_train.observer_program import Program, Recorder, Value, record
 from motorlens_train.specification import Bank, Feature
 
-
-FLOOR = 1e-3
+# No observer is better than this share of the rating plate; below it, its sureness says nothing.
+FLOOR = {"speed": 1e-3, "temperature": 3e-3, "resistance": 3e-3}
+# Samples further apart than this many windows are a gap.
+GAP = 50
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,9 @@ class _Design:
         start = {"theta": rise} | {key: values[key] for key in self.parameters}
         sd = {"w": rated.speed_rad_s / 4, "theta": rise_sd, "load": rated.torque_Nm}
         sd |= {key: share * abs(values[key]) for key, share in settings.tolerances}
-        self.start = [start.get(name, 0.5 * rise if name.startswith("theta") else 0.0) for name in self.states]
+        self.start = [
+            start.get(name, 0.5 * rise if name.startswith("theta") else 0.0) for name in self.states
+        ]
         self.sd = [sd.get(name, rise_sd if name.startswith("theta") else 0.0) for name in self.states]
         n = len(self.states)
         self.pairs = [(a, b) for a in range(n) for b in range(a, n)]
@@ -107,13 +111,21 @@ class _Design:
     def observer(self) -> Observer:
         outputs, read = self.read()
         return Observer(
-            self.period, self.size, self.accumulate(), self.correct(), read, outputs, float(self.rated.ambient_C)
+            self.period,
+            self.size,
+            self.accumulate(),
+            self.correct(),
+            read,
+            outputs,
+            float(self.rated.ambient_C),
         )
 
     def accumulate(self) -> Program:
         r = Recorder()
         v, i, _, dt = r.inputs(["voltage", "current", "ambient", "dt"])
-        alive, v_old, i_old, drag, i_start, time, sum_v, sum_i, sum_ii, sum_b, sum_hh, sum_c = r.inputs(WINDOW)
+        alive, v_old, i_old, drag, i_start, time, sum_v, sum_i, sum_ii, sum_b, sum_hh, sum_c = r.inputs(
+            WINDOW
+        )
         h = dt * alive
         first = 1.0 - alive
         # Where in the step the voltage changed nobody knows; what is below three deviations is noise.
@@ -140,32 +152,37 @@ class _Design:
         x, P = self._unpack(r)
         T = window["time"]
         V, plain = window["sum_voltage"] / T, window["sum_current"] / T
-        I = plain + window["sum_bends"] / T
+        mean = plain + window["sum_bends"] / T
         steps = window["sum_steps"]
 
-        rates, A = self._linearised(r, x, I, V, ambient)
+        rates, A = self._linearised(r, x, mean, V, ambient)
         # The copper heats by the mean square of the current, not by the square of its mean.
         theta, w, load = self.at["theta"], self.at["w"], self.at["load"]
         R = self._resistance(r, x)
-        rates[theta] = rates[theta] + R * (window["sum_square"] / T - I * I) / self.motor.H
+        rates[theta] = rates[theta] + R * (window["sum_square"] / T - mean * mean) / self.motor.H
+        # Over a gap nobody knows what was done to the motor: no step longer than this is believed.
+        gap = r.apply("le", GAP * self.period, T)
+        ahead_s = T.min(GAP * self.period)
         F: list[list[Any]] = [[0.0] * n for _ in range(n)]
         ahead = list(x)
         for j in range(n):
-            own, reach = _exponential(A[j][j], T)
+            own, reach = _exponential(A[j][j], ahead_s)
             F[j] = [A[j][k] * reach if k != j else own for k in range(n)]
             ahead[j] = x[j] + reach * rates[j]
         P = _congruence(F, P)
-        gap = r.apply("le", 50 * self.period, T)
         rated, motor, settings = self.rated, self.motor, self.settings
         warming = motor.k0 * (1 + motor.kT * rated.speed_rad_s) * rated.rise_K / motor.H
         unseen = gap.select((T * T * warming**2).min(self.sd[theta] ** 2), 0.0)
-        bend = (I - plain) * settings.bend_sd
+        bend = (mean - plain) * settings.bend_sd
         shaken = bend * T * (motor.ke / motor.J)
         P[w][w] = (
-            P[w][w] + steps * (motor.ke * self.i_sd / motor.J) ** 2 + shaken * shaken + (1e-5 * rated.speed_rad_s) ** 2
+            P[w][w]
+            + steps * (motor.ke * self.i_sd / motor.J) ** 2
+            + shaken * shaken
+            + (1e-5 * rated.speed_rad_s) ** 2
         )
-        P[theta][theta] = P[theta][theta] + T * settings.thermal_walk**2 + unseen
-        P[load][load] = P[load][load] + T * (settings.load_walk * rated.torque_Nm) ** 2
+        P[theta][theta] = P[theta][theta] + T.min(3600.0) * settings.thermal_walk**2 + unseen
+        P[load][load] = P[load][load] + ahead_s * (settings.load_walk * rated.torque_Nm) ** 2
 
         # At rest, or nearly, the brake takes what it must: whatever was known of the load no longer holds.
         near = x[w].abs() <= self.settings.rest * rated.speed_rad_s
@@ -174,7 +191,7 @@ class _Design:
         # The mean speed of a window in which the current, and so the acceleration, changes.
         sag = T * (window["current"] - window["current_start"]) * (motor.ke / motor.J / 12)
         middle[w] = 0.5 * (ahead[w] + x[w]) - sag
-        balance, _ = self._balance(r, middle, I, V, ambient)
+        balance, _ = self._balance(r, middle, mean, V, ambient)
         # A current that may be noise says nothing about the resistance.
         limit = 3 * self.i_sd
         _, slopes = self._balance(r, middle, plain - plain.min(limit).max(-limit), V, ambient)
@@ -189,7 +206,7 @@ class _Design:
         )  # fmt: skip
         PH = [_dot(P[j], H) for j in range(n)]
         S = _dot(H, PH) + noise
-        z = error / S.sqrt()
+        z = error * (1.0 - gap) / S.sqrt()
         keep = math.exp(-1 / 10)
         drift = keep * drift + (1 - keep) * z
         sudden = r.apply("le", settings.alarm, z * z)
@@ -208,24 +225,36 @@ class _Design:
                 P[a][b] = P[a][b] + opened * g[a] * g[b]
         PH = [_dot(P[j], H) for j in range(n)]
         S = _dot(H, PH) + noise
-        K = [PH[j] / S for j in range(n)]
-        # The current's noise is in the innovation and in the slope by which it is weighed; their product has a mean, by which
-        # a winding would seem to cool without end, unless it is made good (errors in variables; Söderström 2007,
+        # The mean over a gap says nothing about its end.
+        believed = 1.0 - gap
+        K = [PH[j] / S * believed for j in range(n)]
+        # The current's noise is in the innovation and in the slope by which it is weighed; their product has a mean, by
+        # which a winding would seem to cool without end, unless it is made good (errors in variables; Söderström 2007,
         # doi:10.1016/j.automatica.2006.11.025).
         share = steps / (T * T)
-        excess = (limit * limit <= plain * plain).select(R * self.i_sd**2 * share * (1.0 - 0.5 * share) / S, 0.0)
+        excess = (limit * limit <= plain * plain).select(
+            R * self.i_sd**2 * share * (1.0 - 0.5 * share) / S, 0.0
+        )
         per_A = self._per_ampere(x)
-        new = [ahead[j] + K[j] * error + P[j][theta] * per_A * excess for j in range(n)]
+        new = [ahead[j] + K[j] * error + P[j][theta] * per_A * excess * believed for j in range(n)]
         for a, b in self.pairs:
             P[a][b] = P[a][b] - K[a] * PH[b]
+        P[w][w] = P[w][w] + gap * rated.speed_rad_s**2
         for j in range(n):
             P[j][j] = P[j][j].max(1e-14 * self.sd[j] ** 2) if self.sd[j] else P[j][j]
         new[theta] = new[theta].max(-self.rated.rise_K).min(4 * self.rated.rise_K)
         new[w] = new[w].max(-4 * self.rated.speed_rad_s).min(4 * self.rated.speed_rad_s)
         restless = restless + (1 - math.exp(-1 / 100)) * (z * z - 1.0 - restless)
         # What brakes the rotor, as an acceleration: the next window's samples need it.
-        drag = rates[w] - I * (motor.ke / motor.J)
-        fresh = [window["alive"], window["voltage"], window["current"], drag, window["current"], *[0.0] * (len(WINDOW) - 5)]
+        drag = rates[w] - mean * (motor.ke / motor.J)
+        fresh = [
+            window["alive"],
+            window["voltage"],
+            window["current"],
+            drag,
+            window["current"],
+            *[0.0] * (len(WINDOW) - 5),
+        ]
         return r.program([*fresh, drift, trend, restless, *self._pack(new, P)])
 
     def read(self) -> tuple[tuple[str, ...], Program]:
@@ -242,7 +271,7 @@ class _Design:
         variances = {
             "speed": P[w][w], "temperature": P[theta][theta], "resistance": self._resistance_variance(r, x, P)
         }  # fmt: skip
-        floors = {
+        sizes = {
             "speed": self.rated.speed_rad_s, "temperature": self.rated.rise_K,
             "resistance": self.motor.R_a0 * self.motor.alpha * self.rated.rise_K,
         }  # fmt: skip
@@ -251,8 +280,7 @@ class _Design:
             if name not in ("w", "theta", "load"):
                 outputs[name] = x[self.at[name]]
         for name, variance in variances.items():
-            # No observer is better than this share of the rating plate; below it, its sureness says nothing.
-            outputs[f"log_{name}"] = (variance + (FLOOR * floors[name]) ** 2).log()
+            outputs[f"log_{name}"] = (variance + (FLOOR[name] * sizes[name]) ** 2).log()
         outputs["correlation"] = P[w][theta] / (P[w][w] * P[theta][theta] + 1e-30).sqrt()
         outputs["drift"], outputs["trend"] = drift, trend
         # An outlier lifts the average of squares by orders of magnitude; its logarithm stays within reach.
@@ -297,18 +325,24 @@ class _Design:
         return record(voltage_balance, values, r), slopes
 
     def _resistance(self, r: Recorder, x: Sequence[Any]) -> Any:
-        R_a0, alpha = (x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha"))
+        R_a0, alpha = (
+            x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha")
+        )
         return R_a0 * (1 + alpha * x[self.at["theta"]])
 
     def _per_ampere(self, x: Sequence[Any]) -> Any:
         """Derivative of the resistance by the winding's temperature."""
-        R_a0, alpha = (x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha"))
+        R_a0, alpha = (
+            x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha")
+        )
         return R_a0 * alpha
 
     def _resistance_variance(self, r: Recorder, x: Sequence[Any], P: Sequence[Sequence[Any]]) -> Any:
         gradient: list[Any] = [0.0] * len(self.states)
         theta = x[self.at["theta"]]
-        R_a0, alpha = (x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha"))
+        R_a0, alpha = (
+            x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha")
+        )
         gradient[self.at["theta"]] = R_a0 * alpha
         if "R_a0" in self.at:
             gradient[self.at["R_a0"]] = 1 + alpha * theta

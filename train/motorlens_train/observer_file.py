@@ -18,7 +18,10 @@ from motorlens_train.observer_program import Program
 Array = NDArray[np.float64]
 
 # What `accumulate` keeps, in this order; behind it stand `MEMORY`, the states and the upper half of their covariance.
-WINDOW = ("alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends", "sum_steps", "sum_changes")  # fmt: skip
+WINDOW = (
+    "alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends",
+    "sum_steps", "sum_changes",
+)  # fmt: skip
 TIME = WINDOW.index("time")
 # Kept from window to window: averages of the innovations over ten and over sixty windows, and the excess of their squares.
 MEMORY = ("drift", "trend", "restless")
@@ -50,7 +53,12 @@ class Observer:
         """As it stands under `observer` in a sensor's specification."""
         programs = {name: getattr(self, name).document() for name in ("accumulate", "correct", "read")}
         sizes = {"size": self.size, "window": len(WINDOW), "time": TIME}
-        return {"period_s": self.period_s, "ambient_C": self.ambient_C, **sizes, "outputs": list(self.outputs)} | programs
+        return {
+            "period_s": self.period_s,
+            "ambient_C": self.ambient_C,
+            **sizes,
+            "outputs": list(self.outputs),
+        } | programs
 
     @staticmethod
     def from_document(document: Mapping[str, Any]) -> "Observer":
@@ -86,8 +94,8 @@ def _loop(design: Observer) -> Any:
     accumulate, correct, read = (p.compiled() for p in (design.accumulate, design.correct, design.read))
     size, width, full, M = design.size, len(WINDOW), design.full_s, len(design.outputs)
 
-    @njit(error_model="numpy")
-    def run(columns: Array, state: Array) -> tuple[Array, Array]:  # pragma: no cover - compiled
+    @njit(error_model="numpy")  # type: ignore[untyped-decorator]
+    def run(columns: Array, state: Array) -> tuple[Array, Array]:
         out = np.empty((len(columns), M))
         sample, window = np.empty(4 + width), np.empty(1 + size)
         new = np.empty(size)

@@ -62,7 +62,10 @@ def equations(motor: Motor, free: Sequence[str] = ()) -> Equations:
     ]
     states = (*system.states, "load")
     return Equations(
-        states, (*rates, sp.Integer(0)), sp.sympify(system.balances[0]).subs(known), {k: symbols[k] for k in free}
+        states,
+        (*rates, sp.Integer(0)),
+        sp.sympify(system.balances[0]).subs(known),
+        {k: symbols[k] for k in free},
     )
 
 

@@ -81,7 +81,11 @@ class Program:
 
         def name(index: int) -> str:
             constant = index - len(self.inputs)
-            return number(self.constants[constant]) if 0 <= constant < len(self.constants) else f"{register}{index}"
+            return (
+                number(self.constants[constant])
+                if 0 <= constant < len(self.constants)
+                else f"{register}{index}"
+            )
 
         return [
             f"{register}{first + k} = {templates[step].format(*map(name, arguments))}"
@@ -278,9 +282,19 @@ def _record_node(e: Any, visit: Callable[[Any], Any], recorder: Recorder, sp: An
     if isinstance(e, sp.Piecewise):
         result = visit(e.args[-1].expr)
         for branch in reversed(e.args[:-1]):
-            result = recorder.apply("select", _condition(branch.cond, visit, recorder, sp), visit(branch.expr), result)
+            result = recorder.apply(
+                "select", _condition(branch.cond, visit, recorder, sp), visit(branch.expr), result
+            )
         return result
-    names = {sp.exp: "exp", sp.tanh: "tanh", sp.sin: "sin", sp.cos: "cos", sp.Abs: "abs", sp.sign: "sign", sp.log: "log"}
+    names = {
+        sp.exp: "exp",
+        sp.tanh: "tanh",
+        sp.sin: "sin",
+        sp.cos: "cos",
+        sp.Abs: "abs",
+        sp.sign: "sign",
+        sp.log: "log",
+    }
     if e.func not in names:
         raise TypeError(f"no operation for {e.func.__name__}({', '.join(map(str, e.args))})")
     return recorder.apply(names[e.func], visit(e.args[0]))

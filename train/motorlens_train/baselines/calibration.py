@@ -8,6 +8,7 @@ that.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
@@ -27,9 +28,7 @@ def calibrated(motor_file: MotorFile, recordings: Sequence[Recording]) -> MotorF
     if not usable:
         return motor_file
     file = motor_file
-    fitted = _fit(
-        file, ("R_a0", "L", "ke"), [_electrical(file, recording) for recording in usable]
-    )
+    fitted = _fit(file, ("R_a0", "L", "ke"), [_electrical(file, recording) for recording in usable])
     file = file.with_values(fitted)
     rows = [_mechanical(file, recording) for recording in usable]
     values = _fit(file, ("J", "b"), rows)
@@ -65,16 +64,22 @@ def _fit(
     precision = np.r_[1 / np.square(prior[:, 1]), np.full(nuisances, 1e-12)]
     solution, noise = mean, float("inf")
     for _ in range(3):
-        residual = right - matrix @ solution if np.isfinite(noise) else right - matrix @ np.linalg.lstsq(matrix, right)[0]
+        residual = (
+            right - matrix @ solution
+            if np.isfinite(noise)
+            else right - matrix @ np.linalg.lstsq(matrix, right)[0]
+        )
         # Robust: a window in which the model's intersample behaviour fails does not count for more than it must.
         scale = 1.4826 * np.median(np.abs(residual)) + 1e-12
         weight = 1 / np.square(scale) / np.maximum(1.0, np.abs(residual) / (3 * scale))
         normal = matrix.T @ (weight[:, None] * matrix) + np.diag(precision)
         solution = mean + np.linalg.solve(normal, matrix.T @ (weight * (right - matrix @ mean)))
         noise = scale
-    lows = [file.meaning(name.replace("k0kT", "kT")).bounds for name in names]
+    lows = [file.meaning(name).bounds for name in names]
     bounded = [
-        float(np.clip(value, max(low, 1e-3 * abs(m)) if name != "kT" else 0.0, high if name != "kT" else np.inf))
+        float(
+            np.clip(value, max(low, 1e-3 * abs(m)) if name != "kT" else 0.0, high if name != "kT" else np.inf)
+        )
         for name, value, m, (low, high) in zip(names, solution, prior[:, 0], lows, strict=False)
     ]
     return dict(zip(names, bounded, strict=True))
@@ -89,13 +94,13 @@ def _prior(file: MotorFile, name: str) -> tuple[float, float]:
     return scale * values[name], scale * sd
 
 
-def _windows(recording: Recording, length_s: float) -> Array:
+def _windows(recording: Recording, length_s: float) -> NDArray[np.intp]:
     """Edges (indices) of consecutive windows of about `length_s`, at least one sample each."""
     stride = max(1, round(length_s / recording.period_s))
     return np.arange(0, len(recording), stride)
 
 
-def _integral(time: Array, y: Array, edges: Array) -> Array:
+def _integral(time: Array, y: Array, edges: NDArray[np.intp]) -> Array:
     """Integral of y over each window, by the trapezoidal rule."""
     total = np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(time))])
     return np.diff(total[edges])
@@ -104,7 +109,11 @@ def _integral(time: Array, y: Array, edges: Array) -> Array:
 def _channels(file: MotorFile, recording: Recording) -> Mapping[str, Array]:
     _, v, i = inputs(recording)
     actual = truth(recording, file)
-    theta = np.where(np.isfinite(actual[:, 1]), actual[:, 1], 0.0) if not recording.has("temperature") else actual[:, 1]
+    theta = (
+        np.where(np.isfinite(actual[:, 1]), actual[:, 1], 0.0)
+        if not recording.has("temperature")
+        else actual[:, 1]
+    )
     return {"v": v, "i": i, "w": actual[:, 0], "theta": theta}
 
 
@@ -135,4 +144,8 @@ def _thermal(file: MotorFile, recording: Recording) -> tuple[Array, Array, Array
     rows = [
         np.diff(theta[e]), _integral(t, theta, e), _integral(t, np.abs(x["w"]) * theta, e), -_integral(t, x["w"] ** 2, e),
     ]  # fmt: skip
-    return np.column_stack(rows), _integral(t, m.resistance(theta) * x["i"] ** 2, e), np.zeros((len(e) - 1, 0))
+    return (
+        np.column_stack(rows),
+        _integral(t, m.resistance(theta) * x["i"] ** 2, e),
+        np.zeros((len(e) - 1, 0)),
+    )

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -44,7 +44,7 @@ class ExtendedKalman:
     """
 
     motor: Motor = field(default_factory=Motor)
-    rated: Rated = Rated(240.0, 7.27, 221.0, 6.455, 80.0)
+    rated: Rated = Rated(240.0, 7.27, 221.0, 6.455, 80.0)  # noqa: RUF009 -- frozen
     voltage_sd: float = 0.5
     current_sd: float = 0.05
     load_walk: float = 0.5
@@ -67,7 +67,8 @@ class ExtendedKalman:
         walks = [replace(tuned, load_walk=share * torque) for share in LOAD_WALKS]
         tuned = min(walks, key=lambda each: each.error(parts, file))
         return min(
-            (replace(tuned, thermal_walk=walk) for walk in THERMAL_WALKS), key=lambda each: each.error(parts, file)
+            (replace(tuned, thermal_walk=walk) for walk in THERMAL_WALKS),
+            key=lambda each: each.error(parts, file),
         )
 
     def error(self, recordings: Sequence[Recording], file: MotorFile) -> float:
@@ -81,13 +82,28 @@ class ExtendedKalman:
         time, v, i = inputs(recording)
         names, _ = linearised(self.motor)
         ambient = recording.channels.get("ambient", np.full(len(v), self.rated.ambient_C))
-        sd = {"i": self.current_sd, "w": self.rated.speed_rad_s / 4, "theta": self.rise_sd, "load": self.rated.torque_Nm}
+        sd = {
+            "i": self.current_sd,
+            "w": self.rated.speed_rad_s / 4,
+            "theta": self.rise_sd,
+            "load": self.rated.torque_Nm,
+        }
         x = np.array([{"i": i[0], "theta": self.rise}.get(name, 0.0) for name in names])
         # A slow state that effects bring (housing, magnets) starts anywhere the winding may.
         P = np.diag([sd.get(name, self.rise_sd if name.startswith("theta") else 0.0) ** 2 for name in names])
-        walks = np.array([{"load": self.load_walk, "theta": self.thermal_walk}.get(name, 0.0) ** 2 for name in names])
-        means, variances = _filter(self.motor)(
-            steps_of(time), v, i, ambient, x, P, walks, self.motor.L, self.voltage_sd, self.current_sd**2
+        walks = np.array(
+            [{"load": self.load_walk, "theta": self.thermal_walk}.get(name, 0.0) ** 2 for name in names]
+        )
+        columns = (np.ascontiguousarray(u, dtype=np.float64) for u in (steps_of(time), v, i, ambient))
+        means, variances = _run(
+            _equations(self.motor),
+            *columns,
+            x,
+            P,
+            walks,
+            float(self.motor.L),
+            float(self.voltage_sd),
+            self.current_sd**2,
         )
         w, theta = names.index("w"), names.index("theta")
         per_K = self.motor.R_a0 * self.motor.alpha
@@ -116,45 +132,56 @@ def _shortened(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 @cache
-def _filter(motor: Motor) -> Any:
-    """The compiled filter of a motor: its equations are written into it."""
-    names, program = linearised(motor)
-    equations, n = program.compiled(), len(names)
+def _equations(motor: Motor) -> Any:
+    """The motor's rates and Jacobian as a compiled function of one type for all motors, so that the filter compiles once."""
+    _, program = linearised(motor)
+    return njit("void(float64[::1], float64[::1])", error_model="numpy")(program.compiled().py_func)
 
-    @njit(error_model="numpy")
-    def run(
-        dt: Array, v: Array, i: Array, ambient: Array, x: Array, P: Array, walks: Array, L: float, v_sd: float, r: float
-    ) -> tuple[Array, Array]:  # fmt: skip  # pragma: no cover - compiled
-        arguments, results = np.empty(n + 2), np.empty(n + n * n)
-        means, variances = np.empty((len(v), n)), np.empty((len(v), n))
-        augmented = np.zeros((n + 1, n + 1))
-        for k in range(len(v)):
-            if k > 0:
-                step = dt[k]
-                arguments[:n], arguments[n], arguments[n + 1] = x, 0.5 * (v[k - 1] + v[k]), ambient[k]
-                equations(arguments, results)
-                augmented[:n, n] = results[:n]
-                augmented[:n, :n] = results[n:].reshape(n, n)
-                E = transition(augmented, step)
-                x = x + E[:n, n]
-                F = E[:n, :n].copy()
-                # The noise of the voltage, and that nobody knows where in the step the voltage changed.
-                change = max(0.0, (v[k] - v[k - 1]) ** 2 - 18 * v_sd**2) / 12
-                g = transition(augmented, 0.5 * step)[:n, 0] * (step / L * np.sqrt(v_sd**2 + change))
-                P = F @ P @ F.T + np.outer(g, g)
-                for j in range(n):
-                    if walks[j] > 0.0:
-                        P[j, j] += 0.5 * walks[j] * step
-                        P += 0.5 * walks[j] * step * np.outer(F[:, j], F[:, j])
-            S = P[0, 0] + r
-            K = P[:, 0] / S
-            x = x + K * (i[k] - x[0])
-            G = np.eye(n)
-            G[:, 0] -= K
-            P = G @ P @ G.T + r * np.outer(K, K)
-            means[k] = x
+
+_EQUATIONS = types.FunctionType(types.void(types.float64[::1], types.float64[::1]))
+_VECTOR, _MATRIX, _NUMBER = types.float64[::1], types.float64[:, ::1], types.float64
+
+
+@njit(  # type: ignore[untyped-decorator]
+    types.UniTuple(_MATRIX, 2)(
+        _EQUATIONS, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _VECTOR, _NUMBER, _NUMBER, _NUMBER
+    ),
+    cache=True, error_model="numpy",
+)  # fmt: skip
+def _run(
+    equations: Any, dt: Array, v: Array, i: Array, ambient: Array, x: Array, P: Array, walks: Array, L: float, v_sd: float,
+    r: float,
+) -> tuple[Array, Array]:  # fmt: skip  # pragma: no cover - compiled
+    n = len(x)
+    arguments, results = np.empty(n + 2), np.empty(n + n * n)
+    means, variances = np.empty((len(v), n)), np.empty((len(v), n))
+    augmented = np.zeros((n + 1, n + 1))
+    x, P = x.copy(), P.copy()
+    for k in range(len(v)):
+        if k > 0:
+            step = dt[k]
+            arguments[:n], arguments[n], arguments[n + 1] = x, 0.5 * (v[k - 1] + v[k]), ambient[k]
+            equations(arguments, results)
+            augmented[:n, n] = results[:n]
+            augmented[:n, :n] = results[n:].reshape(n, n)
+            E = transition(augmented, step)
+            x = x + E[:n, n]
+            F = E[:n, :n].copy()
+            # The noise of the voltage, and that nobody knows where in the step the voltage changed.
+            change = max(0.0, (v[k] - v[k - 1]) ** 2 - 18 * v_sd**2) / 12
+            g = transition(augmented, 0.5 * step)[:n, 0] * (step / L * np.sqrt(v_sd**2 + change))
+            P = F @ P @ F.T + np.outer(g, g)
             for j in range(n):
-                variances[k, j] = P[j, j]
-        return means, variances
-
-    return run
+                if walks[j] > 0.0:
+                    P[j, j] += 0.5 * walks[j] * step
+                    P += 0.5 * walks[j] * step * np.outer(F[:, j], F[:, j])
+        S = P[0, 0] + r
+        K = P[:, 0] / S
+        x = x + K * (i[k] - x[0])
+        G = np.eye(n)
+        G[:, 0] -= K
+        P = G @ P @ G.T + r * np.outer(K, K)
+        means[k] = x
+        for j in range(n):
+            variances[k, j] = P[j, j]
+    return means, variances

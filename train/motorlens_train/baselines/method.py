@@ -71,7 +71,9 @@ def inputs(recording: Recording) -> tuple[Array, Array, Array]:
         DataError: the recording has no current.
     """
     if not recording.has("current"):
-        raise DataError(f"{recording.name}: no current column (current_A); estimation needs voltage and current")
+        raise DataError(
+            f"{recording.name}: no current column (current_A); estimation needs voltage and current"
+        )
     time, current = recording.time_s, recording.channels["current"]
     missing = ~np.isfinite(current)
     if missing.any():

@@ -1,7 +1,7 @@
 """The resistance-only thermometer: the winding's resistance from changes of voltage and current, without a thermal model.
 
-Recursive least squares with forgetting (Ljung 1999, System Identification, 2nd ed., section 11.2) on high-passed signals: what
-the load holds constant drops out, and the speed moves as the current moves it.
+Recursive least squares with forgetting (Ljung 1999, System Identification, 2nd ed., section 11.2) on high-passed signals:
+what the load holds constant drops out, and the speed moves as the current moves it.
 """
 
 from collections.abc import Sequence
@@ -54,11 +54,12 @@ class ResistanceThermometer:
         theta = (R / m.R_a0 - 1) / m.alpha
         sd = np.sqrt(variance)
         return Estimate.of(
-            np.column_stack([w, theta, R]), np.column_stack([np.full_like(w, self.sd[0]), sd / (m.R_a0 * m.alpha), sd])
+            np.column_stack([w, theta, R]),
+            np.column_stack([np.full_like(w, self.sd[0]), sd / (m.R_a0 * m.alpha), sd]),
         )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _run(
     dt: Array, v: Array, i: Array, p: Array, corner: float, forgetting: float, R: float, variance: float, v_sd: float,
     threshold: float,

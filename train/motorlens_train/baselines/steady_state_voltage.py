@@ -29,7 +29,9 @@ class SteadyStateVoltage:
         rows, right = [], []
         for recording in recordings:
             if not recording.has("speed"):
-                raise DataError(f"{recording.name}: no speed column; the voltage equation is fitted to a measured speed")
+                raise DataError(
+                    f"{recording.name}: no speed column; the voltage equation is fitted to a measured speed"
+                )
             _, v, i = inputs(recording)
             known = np.isfinite(recording.channels["speed"])
             rows.append(np.column_stack([i, recording.channels["speed"]])[known])
@@ -49,4 +51,3 @@ class SteadyStateVoltage:
         ones = np.ones_like(v)
         values = np.column_stack([(v - self.R * i) / self.ke, self.rise * ones, self.R * ones])
         return Estimate.of(values, np.outer(ones, np.asarray(self.sd)))
-

@@ -46,7 +46,7 @@ class ThermalObserver:
         return Estimate.of(values, np.outer(np.ones_like(w), np.asarray(self.sd)))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _run(dt: Array, drop: Array, i: Array, p: Array) -> tuple[Array, Array]:  # pragma: no cover - compiled
     R_a0, alpha, ke, k_ir, k0, kT, H = p
     theta, w = np.empty_like(drop), np.empty_like(drop)

@@ -70,15 +70,25 @@ class TwoStepKalman:
         speed_sd = float(np.sqrt(P[1, 1] - K[1] * P[0, 1]))
         parameters = np.array([m.R_a0, m.alpha, m.ke, m.L, m.J, m.b, m.k_ir, m.k0, m.kT, m.H])
         w, theta = _run(
-            steps_of(time), v, i, K, parameters, self.rise, self.rise_sd**2, speed_sd, self.voltage_sd, self.rated_current
+            steps_of(time),
+            v,
+            i,
+            K,
+            parameters,
+            self.rise,
+            self.rise_sd**2,
+            speed_sd,
+            self.voltage_sd,
+            self.rated_current,
         )
         values = np.column_stack([w, theta, m.resistance(theta)])
         return Estimate.of(values, np.outer(np.ones_like(w), np.asarray(self.sd)))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _run(
-    dt: Array, v: Array, i: Array, K: Array, p: Array, theta: float, variance: float, speed_sd: float, v_sd: float, rated: float
+    dt: Array, v: Array, i: Array, K: Array, p: Array, theta: float, variance: float, speed_sd: float,
+    v_sd: float, rated: float,
 ) -> tuple[Array, Array]:  # fmt: skip  # pragma: no cover - compiled
     R_a0, alpha, ke, L, J, b, k_ir, k0, kT, H = p
     x_i, x_w, load = i[0], 0.0, 0.0

@@ -15,12 +15,29 @@ from motorlens_runtime.cli import add_json_argument, write_json
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sensor", metavar="SENSOR.onnx", help="the virtual sensor")
     parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings with true channels")
-    parser.add_argument("--motor", metavar="MOTOR.toml", help="motor file; without it the sensor stands alone")
-    parser.add_argument("--fit", nargs="+", default=[], metavar="REC", help="recordings to which the other methods are fitted")
-    parser.add_argument("--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds a quantity")
-    parser.add_argument("--voltage-noise", type=float, metavar="V", help="standard deviation the bound assumes (default: found)")
-    parser.add_argument("--current-noise", type=float, metavar="A", help="standard deviation the bound assumes (default: found)")
-    parser.add_argument("--load-walk", type=float, default=0.02, metavar="NM", help="of the load in the bound, N m per root second (default: 0.02)")  # fmt: skip
+    parser.add_argument(
+        "--motor", metavar="MOTOR.toml", help="motor file; without it the sensor stands alone"
+    )
+    parser.add_argument(
+        "--fit", nargs="+", default=[], metavar="REC", help="recordings to which the other methods are fitted"
+    )
+    parser.add_argument(
+        "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds a quantity"
+    )
+    parser.add_argument(
+        "--voltage-noise",
+        type=float,
+        metavar="V",
+        help="standard deviation the bound assumes (default: found)",
+    )
+    parser.add_argument(
+        "--current-noise",
+        type=float,
+        metavar="A",
+        help="standard deviation the bound assumes (default: found)",
+    )
+    parser.add_argument("--load-walk", type=float, default=0.02, metavar="NM",
+                        help="of the load in the bound, N m per root second (default: 0.02)")  # fmt: skip
     parser.add_argument("--png", metavar="FILE", help="write the drawings")
     parser.add_argument("--html", metavar="FILE", help="write table and drawings as one page")
     add_json_argument(parser)
@@ -47,11 +64,17 @@ def run(arguments: argparse.Namespace) -> int:
     for recording in recordings:
         if not any(recording.has(quantity) for quantity in ("speed", "temperature", "resistance")):
             raise DataError(f"{recording.name}: no speed, temperature or resistance column to compare with")
-    file = read_motor_file(arguments.motor) if arguments.motor else MotorFile("unknown", Motor(), plate_of(recordings))
+    file = (
+        read_motor_file(arguments.motor)
+        if arguments.motor
+        else MotorFile("unknown", Motor(), plate_of(recordings))
+    )
     compared: dict[str, Method] = {sensor.name: sensor}
     noise = None
     if arguments.motor:
-        training = [read_recording(path, arguments.column) for path in arguments.fit] or simulated_duty(file, np.random.default_rng(0))
+        training = [read_recording(path, arguments.column) for path in arguments.fit] or simulated_duty(
+            file, np.random.default_rng(0)
+        )
         known = methods()
         with Progress(len(known), "fitting") as progress:
             for done, (name, method) in enumerate(known.items()):
