@@ -27,7 +27,12 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent / "tests"), str(HERE / "hidden_effects")]
+# Not this folder itself: its files bear names that libraries look for.
+sys.path = [
+    str(HERE.parent / "tests"),
+    str(HERE / "hidden_effects"),
+    *(p for p in sys.path if Path(p).resolve() != HERE),
+]
 
 from helpers.hidden import Case, Generated, draw, generate, generate_again, generate_experiment  # noqa: E402
 from helpers.hidden.experiments import TESTS  # noqa: E402

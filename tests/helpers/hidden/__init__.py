@@ -20,7 +20,7 @@ cannot tell from it, by the generator's own Fisher information (see information.
 
 Inputs are linear between samples. Time stamps jitter by 1 % of the step, written down or not. Voltage and load torque
 are measured with noise as well, and a slow torque that nobody measures (0.2 % of rated, 1 s) acts on every shaft.
-Columns named `decoy_N` belong to no quantity.
+Where the winding's temperature is measured, the ambient is as well. Columns named `decoy_N` belong to no quantity.
 """
 
 import json
@@ -171,9 +171,14 @@ def _write_record(
     channels = true_channels(case, record, states, inputs)
     time, shown = measured(case, record, channels, sized)
     columns = {"time_s": time} | {HEADINGS[name]: shown[name] for name in CHANNEL_SETS[case.channels]}
+    if "temperature" in shown:
+        columns["ambient_C"] = case.of_motor().ambient_C + 0.05 * case.rng(
+            91, int(record.slow)
+        ).standard_normal(len(time))
     if not record.slow and "speed" in shown:
+        angle = states[:: (len(states) - 1) // (len(time) - 1), plant.PHI]
         # An encoder of 4096 counts.
-        columns["angle_rad"] = np.floor(states[:, plant.PHI] * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
+        columns["angle_rad"] = np.floor(angle * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
     columns |= decoys(case, record, time, shown["current"])
     write_csv(path, columns)
     return inputs, channels

@@ -300,7 +300,7 @@ def _advance(x, h, u0, u1, t, mode, frictional, fan_on, p, work, ua, ub, out):
 
 @nb.njit(cache=True)
 def _run(dt, inputs, x0, p, substeps, reference, gains, states):
-    """Fill states[n, 10]; with a reference (rad/s, one a sample) the voltage is that of a PI speed controller."""
+    """Fill states[(n - 1) substeps + 1, 10]; with a reference (rad/s, one a sample) a PI controller sets the voltage."""
     n = inputs.shape[0]
     x = x0.copy()
     work = np.zeros((5, STATES))
@@ -342,7 +342,7 @@ def _run(dt, inputs, x0, p, substeps, reference, gains, states):
             _between(inputs[row], inputs[row + 1], s / substeps, u0)
             _between(inputs[row], inputs[row + 1], (s + 1) / substeps, u1)
             mode = _advance(x, h, u0, u1, row * dt + s * h, mode, frictional, fan_on, p, work, ua, ub, out)
-        states[row + 1] = x
+            states[row * substeps + s + 1] = x
 
 
 class Controller(NamedTuple):
@@ -359,16 +359,16 @@ _OPEN_LOOP = Controller(0.0, 0.0, 0.0, 0.0)
 
 def simulate(
     dt: float, inputs: Array, x0: Array, p: Array, substeps: int = 2,
-    reference: Array | None = None, controller: Controller = _OPEN_LOOP,
+    reference: Array | None = None, controller: Controller = _OPEN_LOOP, between: bool = False,
 ) -> Array:  # fmt: skip
-    """States [n, 10] at the samples of `inputs` [n, 5], which lie dt seconds apart.
+    """States [n, 10] at the samples of `inputs` [n, 5], which lie dt seconds apart; `between`: at the substeps as well.
 
     With a `reference` (rad/s) the voltage column of `inputs` is overwritten by the controller's.
     """
-    states = np.empty((len(inputs), STATES))
+    states = np.empty(((len(inputs) - 1) * substeps + 1, STATES))
     _run(dt, inputs, np.asarray(x0, float), p, substeps, np.zeros(0) if reference is None else reference,
          np.array(controller), states)  # fmt: skip
-    return states
+    return states if between else states[::substeps].copy()
 
 
 def rest(theta: float = 0.0, housing: float | None = None, magnet: float = 0.0) -> Array:

@@ -10,6 +10,7 @@ from helpers.hidden import plant
 from helpers.hidden.excitation import Programme, programme
 from helpers.hidden.motors import MOTORS, HiddenMotor
 from helpers.hidden.plant import Array
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 OUTPUTS = ("current", "speed", "temperature")
@@ -191,12 +192,19 @@ def substeps(case: Case, record: Record) -> int:
 def run_truth(
     case: Case, record: Record, textbook: Mapping[str, float], hidden: list[Sized]
 ) -> tuple[Array, Array]:
-    """States [n, 10] and the inputs [n, 5] as they truly were, unmeasured torque and controller's voltage included."""
+    """States at all substeps and the inputs [n, 5] as they truly were, with unmeasured torque and controlled voltage."""
     p, inputs = build(case, record, textbook, hidden)
     inputs[:, plant.LOAD] += record.disturbance
     drive = record.drive
     states = plant.simulate(
-        drive.dt, inputs, record.start, p, substeps(case, record), drive.reference, drive.controller
+        drive.dt,
+        inputs,
+        record.start,
+        p,
+        substeps(case, record),
+        drive.reference,
+        drive.controller,
+        between=True,
     )
     if not np.isfinite(states).all():
         raise FloatingPointError(f"{case.id}: the simulated motor blew up")
@@ -204,13 +212,14 @@ def run_truth(
 
 
 def true_channels(case: Case, record: Record, states: Array, inputs: Array) -> dict[str, Array]:
-    """What ideal sensors would show at the grid, without the unmeasured torque."""
+    """What ideal sensors would show, without the unmeasured torque: inputs at the samples, the rest as `states` is."""
+    at_samples = states[:: (len(states) - 1) // (len(inputs) - 1)]
     voltage = inputs[:, plant.VOLTAGE].copy()
     opened = np.arange(len(voltage)) * record.drive.dt >= record.open_from_s
     # Behind the open switch the terminals show the back-EMF.
-    voltage[opened] -= inputs[opened, plant.SERIES] * states[opened, plant.I]
+    voltage[opened] -= inputs[opened, plant.SERIES] * at_samples[opened, plant.I]
     # A locked shaft's torque sensor shows what the lock bears.
-    load = specimen(case)["ke"] * states[:, plant.I] if record.locked else record.drive.load
+    load = specimen(case)["ke"] * at_samples[:, plant.I] if record.locked else record.drive.load
     return {
         "voltage": voltage, "current": states[:, plant.I], "speed": states[:, plant.W],
         "temperature": states[:, plant.THETA] + case.of_motor().ambient_C, "load_torque": load,
@@ -257,7 +266,14 @@ def measured(
     shown = {}
     # Every channel draws its noise whether or not it is recorded, so that a case with fewer channels keeps the rest.
     for channel in CHANNEL_SETS["all"]:
-        y = np.interp(instants, grid, faulty(channel, channels[channel], dt, hidden))
+        fine = np.linspace(0, grid[-1], len(channels[channel]))
+        y = faulty(channel, channels[channel], fine[1], hidden)
+        # Current and speed are smooth between samples, inputs have their corners there.
+        y = (
+            CubicSpline(fine, y)(instants)
+            if channel in ("current", "speed")
+            else np.interp(instants, fine, y)
+        )
         white = rng.standard_normal(n)
         drift = lfilter([1.0], [1.0, -0.95], rng.standard_normal(n)) * np.sqrt(1 - 0.95**2)
         phase = rng.uniform(-1, 1, n)
