@@ -1,0 +1,56 @@
+"""`motorlens calibrate` from datasheet to calibrated motor file."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_runtime.cli import main
+
+MOTOR = Path(__file__).resolve().parents[2] / "models" / "motors" / "mellah2016.toml"
+SHEET = ["voltage_V=240", "current_A=7.27", "speed_rpm=2111", "resistance_ohm=3.5", "no_load_current_A=0.4"]
+
+
+def test_from_a_datasheet_to_a_calibrated_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    start, bench, new, report = (
+        str(tmp_path / name) for name in ("start.toml", "bench.csv", "new.toml", "report.json")
+    )
+    assert main(["calibrate", "--datasheet", *SHEET, "-o", start]) == 0
+    assert read_motor_file(start).values()["R_a0"] == 3.5
+    noise = ["--noise", "current=0.05", "--noise", "speed=0.5", "--noise", "temperature=0.3"]
+    assert main(["simulate", str(MOTOR), "--scenario", "duty", "--duration", "120", *noise, "-o", bench]) == 0
+    capsys.readouterr()
+    assert (
+        main(["calibrate", bench, "--motor", start, "--fit", "R_a0,ke,J,kT", "-o", new, "--json", report])
+        == 0
+    )
+    printed = capsys.readouterr().out
+    document = json.loads(Path(report).read_text())
+    assert document["schema"] == "motorlens.calibrate/1"
+    truth = read_motor_file(MOTOR).values()
+    for key in ("R_a0", "ke", "J"):
+        found = document["parameters"][key]
+        assert found["value"] == pytest.approx(truth[key], rel=0.05)
+        assert found["identified"]
+        assert read_motor_file(new).values()[key] == found["value"]
+        assert key in printed
+    assert document["residual_sd"][0]["speed"] == pytest.approx(0.5, rel=0.3)
+    assert document["converged"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give either --motor MOTOR.toml or --datasheet"),
+        (["--motor", str(MOTOR)], "no recordings to fit to"),
+        (["--datasheet", "voltage_V=24"], "lacks current_A"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate", *arguments, "-o", str(tmp_path / "new.toml")]) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
