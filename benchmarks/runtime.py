@@ -1,0 +1,239 @@
+"""What the runtime costs: size, start, memory, the hot call, batches, the decoder, and a recorded file against its readers.
+
+    python benchmarks/runtime.py [--quick] [--sensor S.onnx]
+
+Figures of this process are in processor time, the best of several runs; those of other processes in wall-clock time, which
+depends on what else the machine does: its load is printed with them.
+"""
+
+import argparse
+import importlib.metadata
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from motorlens_runtime.estimator import Estimator
+from motorlens_runtime.framing import Decoder, samples_frame
+from motorlens_runtime.gate import Samples
+from motorlens_runtime.sensor import load_sensor
+
+ROOT = Path(__file__).resolve().parents[1]
+# Runs a command of `motorlens` and says what it took; VmHWM is the peak of this program alone.
+MEASURED = """
+import sys, time
+started = time.perf_counter()
+from motorlens_runtime.cli import main
+status = main(sys.argv[1:])
+seconds = time.perf_counter() - started
+memory = {line.split()[0]: line.split()[1] for line in open("/proc/self/status") if line.startswith("Vm")}
+print(status, seconds, time.process_time(), memory["VmHWM:"], memory["VmRSS:"])
+"""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="a file of 3e5 rows instead of 1e7")
+    parser.add_argument("--sensor", default=str(ROOT / "models" / "sensors" / "mellah2016.onnx"))
+    arguments = parser.parse_args()
+    print(f"load of the machine {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+    installed()
+    start_up(arguments.sensor)
+    evaluations(arguments.sensor)
+    decoder()
+    recorded(arguments.sensor, 300_000 if arguments.quick else 10_000_000)
+    return 0
+
+
+def best(action: Callable[[], object], repeats: int = 5) -> float:
+    """Processor seconds of the fastest of several runs in this process."""
+    times = []
+    for _ in range(repeats):
+        started = time.process_time()
+        action()
+        times.append(time.process_time() - started)
+    return min(times)
+
+
+def installed() -> None:
+    """Size on disk of what `pip install motorlens` brings, without compiled caches and the packages it does not use."""
+    wanted, seen, sizes = ["motorlens"], set(), {}
+    while wanted:
+        name = wanted.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        try:
+            distribution = importlib.metadata.distribution(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+        files = [] if name == "motorlens" else distribution.files or []
+        paths = [
+            Path(str(distribution.locate_file(file))) for file in files if not str(file).endswith(".pyc")
+        ]
+        sizes[name] = sum(path.stat().st_size for path in paths if path.exists())
+        for requirement in distribution.requires or []:
+            if "extra ==" not in requirement:
+                wanted.append(re.split(r"[^A-Za-z0-9_.-]", requirement)[0])
+    package = ROOT / "runtime" / "motorlens_runtime"
+    sizes["motorlens"] = sum(
+        p.stat().st_size for p in package.rglob("*") if p.is_file() and p.suffix != ".pyc"
+    )
+    parts = ", ".join(
+        f"{name} {size / 1e6:.1f}" for name, size in sorted(sizes.items(), key=lambda item: -item[1])
+    )
+    print(f"installed: {sum(sizes.values()) / 1e6:.0f} MB ({parts})")
+
+
+def measured(*command: str) -> tuple[float, float, int, int]:
+    """Seconds, processor seconds, peak and final memory in kB of one `motorlens` command in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, *command], capture_output=True, text=True, check=True
+    )
+    status, seconds, cpu, peak, resident = done.stdout.split()[-5:]
+    if status != "0":
+        raise RuntimeError(done.stderr)
+    return float(seconds), float(cpu), int(peak), int(resident)
+
+
+def write_csv(path: Path, rows: int) -> None:
+    rng = np.random.default_rng(0)
+    with path.open("w") as file:
+        file.write("time_s,voltage_V,current_A\n")
+        for first in range(0, rows, 100_000):
+            n = min(100_000, rows - first)
+            table = np.column_stack(
+                [np.arange(first, first + n) / 1000, 100 + rng.normal(size=n), 8 + rng.normal(size=n)]
+            )
+            file.write("".join(f"{t:.3f},{v:.4f},{i:.4f}\n" for t, v, i in table.tolist()))
+
+
+def start_up(sensor: str) -> None:
+    """A fresh process from nothing to the first estimates of a short file, and its memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_csv(Path(folder) / "short.csv", 100)
+        command = ["infer", f"{folder}/short.csv", "--sensor", sensor, "-o", f"{folder}/out.csv"]
+        runs = [measured(*command) for _ in range(5)]
+        whole, cpu, peak, resident = (min(column) for column in zip(*runs, strict=True))
+        numpy_peak = measured(*command, "--backend", "numpy")[2]
+    print(f"cold start to the estimates of a short file: {whole:.2f} s, {cpu:.2f} s of processor time")
+    print(
+        f"resident: {resident / 1000:.0f} MB, peak {peak / 1000:.0f} MB; with the numpy backend {numpy_peak / 1000:.0f} MB"
+    )
+
+
+def evaluations(path: str) -> None:
+    """The network on one block of 64, in batches, and the whole estimator."""
+    import onnxruntime as ort
+
+    sensor = load_sensor(path)
+    features = len(sensor.specification.features)
+    block = np.random.default_rng(0).normal(size=(1, 64, features))
+    for name, backend in (("ONNX Runtime", sensor.backend), ("numpy", sensor.checker)):
+        if backend is not None:
+            call = best(lambda evaluate=backend.evaluate: [evaluate(block) for _ in range(2000)]) / 2000
+            print(f"hot call, {name}: {1e6 * call:.1f} us for a block of 64")
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = ort.InferenceSession(path, options)
+    kind = {"tensor(float)": np.float32, "tensor(double)": np.float64}[session.get_inputs()[0].type]
+    batch = np.random.default_rng(0).normal(size=(4096, features)).astype(kind)
+    seconds = best(lambda: [session.run(None, {"features": batch}) for _ in range(50)]) / 50
+    blocks = batch.astype(np.float64).reshape(64, 64, features)
+    canonical = best(lambda: [sensor.backend.evaluate(blocks) for _ in range(50)]) / 50
+    print(
+        f"network alone: {4.096e-3 / seconds:.1f} million rows/s in batches of 4096, "
+        f"{4.096e-3 / canonical:.1f} in blocks of 64"
+    )
+    n = 16_384
+    values = 100 + np.random.default_rng(1).normal(size=n), 8 + np.random.default_rng(2).normal(size=n)
+
+    def offline() -> None:
+        estimator = Estimator(sensor, 1e-3)
+        for k in range(20):
+            estimator.push(Samples(np.arange(k * n, (k + 1) * n) * 1_000_000, *values))
+
+    print(
+        f"estimator, every row: {20 * n / best(offline, 3) / 1e6:.2f} million rows/s ({len(sensor.bank.signals)} filters)"
+    )
+    for rows in (1, 10, 20):
+        parts = [
+            Samples(np.arange(k * rows, (k + 1) * rows) * 1_000_000, *(v[:rows] for v in values))
+            for k in range(2000)
+        ]
+        last = np.array([rows - 1])
+
+        def live(parts: list[Samples] = parts, last: np.ndarray = last) -> None:
+            estimator = Estimator(sensor, 1e-3)
+            for part in parts:
+                estimator.push(part, last)
+
+        print(f"estimator, live block of {rows}: {1e6 * best(live, 3) / 2000:.0f} us with one evaluation")
+
+
+def decoder() -> None:
+    """Frames from bytes, by how many arrive together."""
+    codes = np.random.default_rng(0).integers(-2048, 2048, (20_000, 10, 2)).astype(np.int16)
+    data = b"".join(
+        samples_frame(rows, schema=1, sequence=k & 0xFFFF, t0_us=k) for k, rows in enumerate(codes)
+    )
+    for together in (1, 50, 5000):
+        size = together * 56
+
+        def feed(size: int = size) -> None:
+            decode = Decoder()
+            for at in range(0, len(data), size):
+                decode.feed(data[at : at + size])
+
+        print(
+            f"decoder, {together} frames of 10 samples at a time: {0.02 / best(feed, 3):.2f} million frames/s"
+        )
+
+
+def recorded(sensor: str, rows: int) -> None:
+    """`motorlens infer` against libraries that only read the same file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.csv"
+        write_csv(path, rows)
+        print(f"recorded file of {rows / 1e6:g} million rows, {path.stat().st_size / 1e6:.0f} MB:")
+        for target in ("out.parquet", "out.csv"):
+            if target.endswith("parquet") and importlib.util.find_spec("pyarrow") is None:
+                continue
+            seconds, cpu, peak, _ = measured(
+                "infer", str(path), "--sensor", sensor, "-o", f"{folder}/{target}"
+            )
+            rate, of_cpu = rows / seconds / 1e6, rows / cpu / 1e6
+            print(
+                f"  infer to {target}: {rate:.2f} million rows/s ({of_cpu:.2f} a processor second), "
+                f"peak memory {peak / 1000:.0f} MB"
+            )
+        readers = {
+            "pandas": "import pandas; pandas.read_csv(path)",
+            "polars": "import polars; polars.read_csv(path)",
+            "pyarrow": "import pyarrow.csv; pyarrow.csv.read_csv(path)",
+            "numpy.loadtxt": "import numpy; numpy.loadtxt(path, delimiter=',', skiprows=1)",
+        }
+        for name, code in readers.items():
+            if importlib.util.find_spec(name.partition(".")[0]) is None:
+                continue
+            script = f"import sys, time; path = sys.argv[1]; started = time.process_time(); {code}"
+            script += "; print(time.process_time() - started)"
+            done = subprocess.run(
+                [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+            )
+            print(
+                f"  {name} only reading: {rows / float(done.stdout) / 1e6:.2f} million rows a processor second"
+            )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
