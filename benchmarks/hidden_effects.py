@@ -17,6 +17,8 @@ import hashlib
 import importlib.util
 import json
 import os
+import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -88,7 +90,7 @@ def one(case: Case, out: str, keep: bool, limit_s: float) -> dict[str, Any]:
         place = directory / case.id if keep else Path(scratch)
         made = prepared(case, directory, place)
         answer = place / "diagnosis.json"
-        start = time.monotonic()
+        start, spent = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         row: dict[str, Any] = {"id": case.id}
         try:
@@ -101,6 +103,7 @@ def one(case: Case, out: str, keep: bool, limit_s: float) -> dict[str, Any]:
         except subprocess.TimeoutExpired:
             row |= {"status": -1, "stderr": f"no answer within {limit_s:.0f} s", "answer": None}
         row["seconds"] = time.monotonic() - start
+        row["cpu_seconds"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - spent
     return row
 
 
@@ -282,6 +285,9 @@ def print_score(arguments: argparse.Namespace) -> None:
         ("what", "goal", *methods),
         ((*columns[0][k][:2], *(column[k][2] for column in columns)) for k in range(len(columns[0]))),
     )
+    spent = [row["cpu_seconds"] for row in read_lines(directory / "answers.jsonl") if "cpu_seconds" in row]
+    if spent:
+        print(f"processor seconds a diagnosis: median {statistics.median(spent):.0f}, most {max(spent):.0f}")
     print(f"the proposed experiment resolves the group (goal >= 90 %): {resolved_rate(directory)}\n")
     if arguments.strata:
         table(("stratum", "wrong name", "false alarm", "detected", "right first", "in group"), strata(rows))
