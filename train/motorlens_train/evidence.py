@@ -147,27 +147,29 @@ def update(network: Network, now: Evidence, hyper: Hyperparameters) -> Hyperpara
 
 def score_autocorrelation(
     network: Network,
-    factor: Tensor,
+    now: Evidence,
     runs: Iterable[tuple[Tensor, Tensor]],
     generator: np.random.Generator,
     directions: int = 48,
 ) -> Tensor:
     """Autocorrelation time of each output's score, `[K]`, at least 1.
 
-    The score of sample n is its contribution `J_n^T e_n` to the gradient; its autocorrelation, not that of
-    the errors e_n, is what makes the posterior too sure (Godambe's information). Scores are measured in the
-    posterior's metric H^-1, through random directions, and their autocorrelation is summed up to five times
-    the time found so far (Sokal's window).
+    The score of sample n is its contribution `J_n^T e_n` to the gradient; its autocorrelation, not that of the
+    errors e_n, is what makes the posterior too sure (Godambe's information). Scores are measured in the posterior's
+    metric H^-1, through random directions. Their autocorrelation is first summed up to five times the time found so
+    far (Sokal's window), then up to eight times that time with Bartlett's weights, because the slowest directions
+    matter most. A network that has fitted gamma slow shapes has taken just these out of its errors: the share
+    `gamma w / N` of the window w that is lost is made good.
 
     Args:
         network: weights at the minimum.
-        factor: Cholesky factor of H.
+        now: evidence there.
         runs: unbroken stretches of scaled inputs `[n, F]` and targets `[n, K]` in order of time.
         generator: for the random directions.
         directions: number of random directions that stand for the trace.
     """
-    draws = torch.from_numpy(generator.standard_normal((len(factor), directions)))
-    probes = torch.linalg.solve_triangular(factor.T, draws, upper=True)
+    draws = torch.from_numpy(generator.standard_normal((len(now.factor), directions)))
+    probes = torch.linalg.solve_triangular(now.factor.T, draws, upper=True)
     outputs = network.architecture.outputs
     total = np.zeros((outputs, 0))
     for x, y in runs:
@@ -176,7 +178,9 @@ def score_autocorrelation(
         products = _lagged_products(scores.numpy())
         longest = max(total.shape[1], products.shape[1])
         total = _padded(total, longest) + _padded(products, longest)
-    return torch.tensor([_sokal(row / row[0]) if row[0] > 0 else 1.0 for row in total], dtype=torch.float64)
+    gamma = float(now.gamma.sum()) / outputs
+    times = [_correlation_time(row / row[0], gamma, now.rows) if row[0] > 0 else 1.0 for row in total]
+    return torch.tensor(times, dtype=torch.float64)
 
 
 def _lagged_products(scores: np.ndarray) -> np.ndarray:
@@ -187,12 +191,14 @@ def _lagged_products(scores: np.ndarray) -> np.ndarray:
     return np.asarray(np.fft.irfft(power, axis=0)[:count].T)
 
 
-def _sokal(correlation: np.ndarray, window: float = 5.0) -> float:
+def _correlation_time(correlation: np.ndarray, gamma: float, rows: int) -> float:
     times = 2 * np.cumsum(correlation) - 1
     lags = np.arange(len(correlation))
-    inside = lags >= window * np.maximum(times, 1)
-    cut = int(np.argmax(inside)) if inside.any() else len(correlation) - 1
-    return float(max(times[cut], 1.0))
+    inside = lags >= 5 * np.maximum(times, 1)
+    sokal = max(times[int(np.argmax(inside))] if inside.any() else times[-1], 1.0)
+    window = min(max(int(8 * sokal), 2), len(correlation))
+    bartlett = 2 * float(((1 - lags[:window] / window) * correlation[:window]).sum()) - 1
+    return float(max(bartlett, sokal, 1.0) / max(1 - gamma * window / rows, 0.2))
 
 
 def _padded(rows: np.ndarray, length: int) -> np.ndarray:

@@ -189,7 +189,7 @@ class _Run:
             return state, after, f"the validation error has not improved for {state.since_best} iterations"
         if state.iteration >= self.settings.iterations:
             return state, after, f"the limit of {state.iteration} iterations is reached"
-        if quiet < 2:
+        if quiet < (2 if self._last(batch) else 1):
             return state, after, ""
         if not self._last(batch):
             return (
@@ -217,7 +217,7 @@ class _Run:
         )
 
     def _patience_threshold(self, batch: Batch) -> float:
-        return self.settings.tolerance if self._last(batch) else 3e-3
+        return self.settings.tolerance if self._last(batch) else 5e-3
 
     def _last(self, batch: Batch) -> bool:
         return batch.rows == self.source.rows
@@ -270,7 +270,7 @@ class _Run:
             (self.inputs.scale(x.double()), self.targets.scale(y.double()))
             for x, y in self.source.runs(32768, 8192)
         )
-        return score_autocorrelation(network, found.factor, runs, np.random.default_rng([self.seed, 3]))
+        return score_autocorrelation(network, found, runs, np.random.default_rng([self.seed, 3]))
 
     def _recorded(
         self,
