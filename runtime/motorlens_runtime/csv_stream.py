@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.columns import require, understand
+from motorlens_runtime.decimal_text import read
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.gate import Samples
 
@@ -246,6 +247,9 @@ def _fast(text: bytes, columns: int, separator: bytes) -> Array | None:
     grid = ends[marks].reshape(-1, columns)
     if not grid[:, -1].all() or grid[:, :-1].any():
         return None
+    plain = read(raw, marks)
+    if plain is not None:
+        return plain.reshape(-1, columns)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:

@@ -7,8 +7,12 @@ from urllib.parse import SplitResult
 
 import numpy as np
 
+from motorlens_runtime.decimal_text import seconds_text, table
 from motorlens_runtime.estimator import Estimates
 from motorlens_runtime.publish import Header, file_of, options_of
+
+# From this many rows on, writing them together is faster; the text is the same.
+_MANY = 64
 
 
 def open_url(url: SplitResult, header: Header) -> "CsvPublisher":
@@ -28,17 +32,17 @@ class CsvPublisher:
 
     def publish(self, estimates: Estimates) -> None:
         """One line per row."""
-        times = (estimates.time_ns / 1e9).tolist()
-        rows = np.stack((estimates.values, estimates.sigma), axis=2).reshape(len(times), -1).tolist()
-        line = self._line
-        self._file.write(
-            "".join(
-                [
-                    line % (t, *row, q)
-                    for t, row, q in zip(times, rows, estimates.quality.tolist(), strict=True)
-                ]
-            )
+        rows = np.stack((estimates.values, estimates.sigma), axis=2).reshape(len(estimates), -1)
+        if len(estimates) >= _MANY and estimates.time_ns[0] >= 0:
+            self._file.write(table(estimates.time_ns, rows, estimates.quality).decode("ascii"))
+            return
+        lines = zip(
+            map(seconds_text, estimates.time_ns.tolist()),
+            rows.tolist(),
+            estimates.quality.tolist(),
+            strict=True,
         )
+        self._file.write("".join([self._line % (time, *row, word) for time, row, word in lines]))
 
     def flush(self) -> None:
         """Hand what was written to the operating system."""

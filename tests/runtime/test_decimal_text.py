@@ -1,0 +1,95 @@
+"""Block-wise reading and writing of numbers, against Python's own `float` and `%.9g`."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motorlens_runtime.decimal_text import nine_digits, read, seconds, seconds_text, table
+
+
+def text_of(row):
+    return bytes(row[row != 0]).decode()
+
+
+def read_cells(cells):
+    raw = np.frombuffer("".join(cell + "," for cell in cells).encode(), dtype=np.uint8)
+    return read(raw, np.flatnonzero(raw == ord(",")))
+
+
+plain = st.builds(
+    lambda sign, whole, part: sign + whole + part,
+    st.sampled_from(["", "-"]), st.text("0123456789", min_size=1, max_size=8),
+    st.one_of(st.just(""), st.just("."), st.text("0123456789", min_size=1, max_size=7).map(lambda t: "." + t)),
+)  # fmt: skip
+
+
+@given(st.lists(plain, min_size=1, max_size=50))
+def test_plain_numbers_are_read_as_float_reads_them(cells):
+    expected = np.array([float(cell) for cell in cells])
+    values = read_cells(cells)
+    assert values is not None and values.tobytes() == expected.tobytes()
+
+
+@given(
+    st.lists(
+        st.one_of(plain, st.text("0123456789.-+e nan,", max_size=20).filter(lambda t: "," not in t)),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_what_is_not_plain_is_handed_back_or_read_right(cells):
+    values = read_cells(cells)
+    if values is not None:
+        assert values.tolist() == [float(cell) for cell in cells]
+
+
+@settings(max_examples=300)
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=40))
+def test_nine_digits_of_any_float(values):
+    rows = nine_digits(np.array(values))
+    assert [text_of(row) for row in rows] == ["%.9g" % value for value in values]  # noqa: UP031
+
+
+def test_nine_digits_of_very_many():
+    rng = np.random.default_rng(0)
+    sizes = 10.0 ** rng.uniform(-7, 11, 200_000) * rng.choice([-1, 1], 200_000)
+    edges = np.array(
+        [
+            float(f"{m}e{e}")
+            for m in (1, 5, 9.99999999, 9.999999995, 1.000000005, 123.456)
+            for e in range(-9, 12)
+        ]
+    )
+    ties = (rng.integers(10**8, 10**9, 2000) + 0.5) / 2.0 ** rng.integers(0, 20, 2000)
+    for values in (
+        sizes,
+        sizes.astype(np.float32).astype(float),
+        edges,
+        ties,
+        np.arange(3000.0),
+        np.zeros(3),
+    ):
+        rows = nine_digits(values)
+        expected = ["%.9g" % value for value in values.tolist()]  # noqa: UP031
+        wrong = [(text_of(r), e) for r, e in zip(rows, expected, strict=True) if text_of(r) != e]
+        assert not wrong, wrong[:3]
+
+
+@given(
+    st.lists(
+        st.one_of(st.integers(0, 9 * 10**18), st.integers(0, 10**7).map(lambda ms: ms * 10**6)),
+        min_size=1,
+        max_size=30,
+    )
+)
+def test_seconds(times):
+    rows = seconds(np.array(times, dtype=np.int64))
+    for row, time_ns in zip(rows, times, strict=True):
+        assert text_of(row) == seconds_text(time_ns)
+        assert float(text_of(row)) == time_ns / 1e9
+
+
+def test_a_table_is_lines_of_csv():
+    values = np.array([[1.5, -2.25], [np.nan, 1e-9]])
+    lines = table(np.array([0, 1_500_000_000]), values, np.array([0, 4095], dtype=np.uint32)).decode()
+    assert lines == "0.0,1.5,-2.25,0\n1.5,nan,1e-09,4095\n"
