@@ -28,8 +28,8 @@ INPUTS, OUTPUTS, HIDDEN = 16, 3, (12, 8)
 Report = Callable[[Callable[[np.ndarray], np.ndarray]], None]
 
 
-def data(rows: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs and noisy targets, float32."""
+def data(rows: int, seed: int, correlation: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Inputs of unit variance and noisy targets, float32; `correlation` is that of neighbouring inputs."""
     teacher = np.random.default_rng(99)
     a, b, c = (
         teacher.standard_normal(shape) / size for shape, size in (((16, 10), 4), ((10, 3), 3), ((16, 3), 6))
@@ -37,15 +37,17 @@ def data(rows: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((rows, INPUTS)).astype(np.float32)
     f = np.tanh(x @ a) @ b + 0.5 * np.sin(x @ c)
-    return x, (f + 0.1 * rng.standard_normal(f.shape)).astype(np.float32)
+    place = np.arange(INPUTS)
+    mixed = x @ np.linalg.cholesky(correlation ** np.abs(place[:, None] - place)).T
+    return mixed.astype(np.float32), (f + 0.1 * rng.standard_normal(f.shape)).astype(np.float32)
 
 
-def motorlens(x: np.ndarray, y: np.ndarray, report: Report) -> None:
+def motorlens(x: np.ndarray, y: np.ndarray, report: Report, correlation: float) -> None:
     from motorlens_train.cascade import Architecture
     from motorlens_train.source import Arrays
     from motorlens_train.trainer import Settings, train
 
-    unseen = data(10_000, 2)
+    unseen = data(10_000, 2, correlation)
     deviation: list[float] = []
 
     def tell(record) -> None:  # type: ignore[no-untyped-def]
@@ -257,14 +259,16 @@ def pyrenn(x: np.ndarray, y: np.ndarray, report: Report) -> None:
 
 
 PEERS: dict[str, Callable[[np.ndarray, np.ndarray, Report], None]] = {
-    "motorlens": motorlens, "torch L-BFGS": torch_lbfgs, "torch Adam": torch_adam, "torch-levenberg-marquardt": torch_lm,
+    "torch L-BFGS": torch_lbfgs, "torch Adam": torch_adam, "torch-levenberg-marquardt": torch_lm,
     "torch-levenberg-marquardt, mini-batch": torch_lm_minibatch, "scipy least_squares": scipy_least_squares,
     "trainbr (emulated)": trainbr, "scikit-learn L-BFGS": scikit_learn, "pyrenn": pyrenn,
 }  # fmt: skip
-RIVALS = ("motorlens", "torch L-BFGS", "torch-levenberg-marquardt", "trainbr (emulated)")
+# Peers that hold the Jacobian of all samples at once.
+WHOLE_JACOBIAN = ("scipy least_squares", "trainbr (emulated)", "pyrenn")
+RIVALS = ("torch L-BFGS", "torch-levenberg-marquardt", "trainbr (emulated)")
 
 
-def child(peer: str, folder: str) -> None:
+def child(peer: str, folder: str, correlation: float) -> None:
     """Run one peer and print a line of JSON after each of its iterations: processor time, held-out error, memory."""
     import torch
 
@@ -272,7 +276,7 @@ def child(peer: str, folder: str) -> None:
     x, y = (
         np.load(Path(folder) / f"{name}.npy", mmap_mode="r" if peer == "motorlens" else "c") for name in "xy"
     )
-    unseen, truth = data(10_000, 2)
+    unseen, truth = data(10_000, 2, correlation)
     spent = 0.0
     started = time.process_time()
 
@@ -285,13 +289,18 @@ def child(peer: str, folder: str) -> None:
         print(json.dumps([before - started - spent, mse, memory]), flush=True)
         spent += time.process_time() - before
 
-    PEERS[peer](x, y, report)
+    if peer == "motorlens":
+        motorlens(x, y, report, correlation)
+    else:
+        PEERS[peer](x, y, report)
 
 
-def race(peer: str, folder: str, budget_s: float, level: float) -> tuple[list[list[float]], str]:
+def race(
+    peer: str, folder: str, budget_s: float, level: float, correlation: float
+) -> tuple[list[list[float]], str]:
     """Its reports until it reaches the level or its processor time is used up, and why there are none."""
     process = subprocess.Popen(
-        [sys.executable, "-W", "ignore", __file__, "--child", peer, folder],
+        [sys.executable, "-W", "ignore", __file__, "--child", peer, folder, str(correlation)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     reports: list[list[float]] = []
@@ -311,41 +320,56 @@ def race(peer: str, folder: str, budget_s: float, level: float) -> tuple[list[li
     return reports, complaint[-1][:90] if complaint and not reports else ""
 
 
-def compare(rows: int, peers: tuple[str, ...], budget_s: float, level_of: Path | None = None) -> float:
+def compare(rows: int, peers: tuple[str, ...], budget_s: float, correlation: float) -> float:
     """Print one table; returns how many times longer the best peer takes."""
     with tempfile.TemporaryDirectory() as folder:
-        write(rows, Path(folder))
-        print(f"\n{rows} samples{'':30}{'s to the level':>16}{'best error':>12}{'in s':>8}{'memory GB':>11}")
-        own, _ = race("motorlens", folder, 20 * budget_s, 0.0)
+        write(rows, Path(folder), correlation)
+        inputs = f"inputs correlated {correlation:g}" if correlation else "independent inputs"
+        print(
+            f"\n{f'{rows} samples, {inputs}':40}{'s to the level':>14}{'best error':>12}{'in s':>8}{'memory GB':>11}"
+        )
+        own, complaint = race("motorlens", folder, 20 * budget_s, 0.0, correlation)
+        if not own:
+            raise SystemExit(complaint)
         level = 1.01 * min(mse for _, mse, _ in own)
         mine = next(seconds for seconds, mse, _ in own if mse <= level)
+        row("motorlens", own, level)
         best = float("inf")
         for peer in peers:
-            reports, complaint = (own, "") if peer == "motorlens" else race(peer, folder, budget_s, level)
-            if not reports:
-                print(f"{peer:38}  skipped: {complaint or f'no iteration within {4 * budget_s:g} s'}")
+            needed = 8e-9 * rows * OUTPUTS * 547
+            if peer in WHOLE_JACOBIAN and needed > 2:
+                print(f"{peer:40}  skipped: its Jacobian alone takes {needed:.0f} GB")
                 continue
-            at = next((seconds for seconds, mse, _ in reports if mse <= level), None)
-            seconds, mse, _ = min(reports, key=lambda r: r[1])
-            shown = f"{at:.2f}" if at is not None else f"not in {max(r[0] for r in reports):.0f}"
-            print(
-                f"{peer:38}{shown:>16}{mse:12.5f}{seconds:8.1f}{max(r[2] for r in reports):11.2f}", flush=True
+            reports, complaint = race(peer, folder, budget_s, level, correlation)
+            if not reports:
+                print(f"{peer:40}  skipped: {complaint or f'no iteration within {4 * budget_s:g} s'}")
+                continue
+            row(peer, reports, level)
+            best = min(
+                best,
+                next((seconds for seconds, mse, _ in reports if mse <= level), max(budget_s, reports[-1][0])),
             )
-            if peer != "motorlens":
-                best = min(best, at if at is not None else max(budget_s, reports[-1][0]))
-        print(
-            f"level {level:.5f}; the best peer takes {'over ' if best >= budget_s else ''}{best / mine:.0f} times as long"
-        )
+        if peers:
+            over = "over " if best >= budget_s else ""
+            print(f"level {level:.5f}; the best peer takes {over}{best / mine:.1f} times as long")
     return best / mine
 
 
-def write(rows: int, folder: Path) -> None:
+def row(peer: str, reports: list[list[float]], level: float) -> None:
+    """Print one line of the table."""
+    at = next((seconds for seconds, mse, _ in reports if mse <= level), None)
+    seconds, mse, _ = min(reports, key=lambda r: r[1])
+    shown = f"{at:.2f}" if at is not None else f"not in {max(r[0] for r in reports):.0f}"
+    print(f"{peer:40}{shown:>14}{mse:12.5f}{seconds:8.1f}{max(r[2] for r in reports):11.2f}", flush=True)
+
+
+def write(rows: int, folder: Path, correlation: float) -> None:
     """The data on disk, made in pieces so that their size does not depend on this machine's memory."""
     x = np.lib.format.open_memmap(folder / "x.npy", "w+", np.float32, (rows, INPUTS))
     y = np.lib.format.open_memmap(folder / "y.npy", "w+", np.float32, (rows, OUTPUTS))
     for piece, first in enumerate(range(0, rows, 100_000)):
         part = slice(first, min(first + 100_000, rows))
-        x[part], y[part] = data(part.stop - first, 1000 + piece)
+        x[part], y[part] = data(part.stop - first, 1000 + piece, correlation)
 
 
 def main() -> None:
@@ -361,21 +385,27 @@ def main() -> None:
     parser.add_argument(
         "--budget", type=float, default=60.0, help="processor seconds for each peer at 10^4 (default: 60)"
     )
-    parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--correlation", type=float, nargs="+", default=[0.0, 0.9], help="of neighbouring inputs"
+    )
+    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.child:
-        child(*arguments.child)
+        child(arguments.child[0], arguments.child[1], float(arguments.child[2]))
         return
     sizes, peers, budget = [int(size) for size in arguments.sizes], tuple(PEERS), arguments.budget
+    correlations = arguments.correlation
     if arguments.quick:
-        sizes, peers, budget = [10_000], RIVALS, 8.0
-    ratios = {}
+        sizes, peers, budget, correlations = [10_000], RIVALS[:2], 5.0, [0.0, 0.9]
+    ratios = []
     for rows in sizes:
-        # Beyond a million samples only this trainer runs: no peer reads data that do not fit into memory.
-        chosen = peers if rows <= 1_000_000 else ("motorlens",)
-        ratios[rows] = compare(rows, chosen, budget * max(1.0, np.log10(rows) - 3))
-    shown = ", ".join(f"{ratio:.0f} at {rows}" for rows, ratio in ratios.items() if np.isfinite(ratio))
-    print(f"time of the best peer over motorlens' time: {shown}")
+        for correlation in correlations:
+            # Beyond a million samples only this trainer runs: no peer reads data that do not fit into memory.
+            chosen = peers if rows <= 1_000_000 else ()
+            ratio = compare(rows, chosen, budget * max(1.0, np.log10(rows) - 3), correlation)
+            if chosen:
+                ratios.append(f"{ratio:.1f} at {rows}{f' correlated {correlation:g}' if correlation else ''}")
+    print(f"time of the best peer over motorlens' time: {', '.join(ratios)}")
 
 
 if __name__ == "__main__":

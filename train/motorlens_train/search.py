@@ -116,6 +116,9 @@ def search(
         done: told each result, and how many of all there are.
     """
     finished = {result.candidate: result for result in read_log(log)}
+    if log.exists() and not log.read_text(encoding="utf-8").endswith("\n"):
+        with log.open("a", encoding="utf-8") as file:
+            file.write("\n")
     results = [finished[c] for c in candidates if c in finished]
     waiting = [c for c in candidates if c not in finished]
     for count, result in enumerate(results, start=1):
