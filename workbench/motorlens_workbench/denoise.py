@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-WINDOWS = (1, 3, 5, 9, 17, 33, 65)
+WINDOWS = (1, 3, 5, 9, 17, 33, 65, 129, 257, 513)
 # Half width of a confidence interval, in standard deviations.
 CONFIDENCE = 2.4
 
@@ -29,7 +29,7 @@ def noise_sd(y: Array) -> float:
 def smoothed(y: Array, sd: float | None = None) -> Array:
     """(N,) evenly sampled; `sd` of the noise (default: estimated). Steps stay where they are."""
     sd = noise_sd(y) if sd is None else sd
-    if sd <= 0 or len(y) < 2 * WINDOWS[-1]:
+    if sd <= 0 or len(y) < 2 * WINDOWS[4]:
         return y.copy()
     right, right_variance = _one_sided(y, sd)
     left, left_variance = _one_sided(y[::-1], sd)

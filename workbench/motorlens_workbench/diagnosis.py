@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, Curve, candidates, curves
-from motorlens_workbench.evidence import Evidence, curve_gain, score
+from motorlens_workbench.evidence import Evidence, curve_gain, score, statistics
 from motorlens_workbench.fitting import Fit, base_prior, fit, noise_of, plain_noise, squares, start_model
 from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import Run, prepare
-from motorlens_workbench.screen import Columns, Line, all_columns, evidence_of, unexplained, with_priors
+from motorlens_workbench.screen import Columns, Line, all_columns, columns_of, evidence_of, unexplained, with_priors
 from motorlens_workbench.selection import REAL, WORTH, Progress, Test, likeness, refit, rivals, test_all, total
 
 Array = NDArray[np.float64]
@@ -37,6 +37,7 @@ class Bend:
         gain: fall of the whitened sum of squares beyond chance.
         deviations: how many standard deviations that is.
         knots: (k,) those of its knots that the data know.
+        best: the robust statistic of its strongest single knot.
         value: (k,) the curve there, in the unit of its balance.
         sd: (k,) its standard deviation.
     """
@@ -44,6 +45,7 @@ class Bend:
     curve: Curve
     gain: float
     deviations: float
+    best: float
     knots: Array
     value: Array
     sd: Array
@@ -150,13 +152,15 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
 def bends_of(left: Evidence, free: Sequence[Curve]) -> list[Bend]:
     """Every free curve against what is left, the strongest first."""
     found = []
+    single = dict(zip(left.names, statistics(left).tolist(), strict=False))
     for curve in free:
         gain, deviations, tested = curve_gain(left, curve.columns())
         if tested is None:
             continue
         at = [int(name.rpartition(".")[2]) for name in tested.names]
         spread = np.sqrt(np.maximum(np.diagonal(tested.covariance), 0))
-        found.append(Bend(curve, gain, deviations, curve.knots[at], tested.coefficient, spread))
+        best = max(single[name] for name in tested.names)
+        found.append(Bend(curve, gain, deviations, best, curve.knots[at], tested.coefficient, spread))
     return sorted(found, key=lambda bend: -bend.gain)
 
 
@@ -228,6 +232,34 @@ def threshold(now: Look) -> float:
     return max(REAL, 2.0 * now.decoy)
 
 
+def stirred(now: Look, runs: Sequence[Run], listed: Sequence[Test]) -> dict[str, float]:
+    """The statistic that the errors of the measured inputs alone would give each candidate.
+
+    Those errors drive the simulation but not the motor, and are in residual and columns alike (errors in variables). The
+    present model is taken for the truth, its inputs are disturbed as much again, and the test is repeated.
+    """
+    if not any(any(run.input_noise) for run in runs):
+        return {}
+    found, rng = now.found, np.random.default_rng(1)
+    moved = [run.stirred(rng) for run in runs]
+    columns = []
+    for r, (run, other) in enumerate(zip(runs, moved, strict=True)):
+        truth = run.average(predict(found.model, run, r)[1])
+        one, _ = columns_of(
+            found.model, other, r, found.prior.keys, dict(found.prior.sd), [t.candidate for t in listed], (), False
+        )
+        columns.append(replace(one, residual=truth - (other.average(other.measured) - one.residual)))
+    evidence = evidence_of(columns, moved, found.whiteners).with_prior({}, {key: 1.0 for key in found.prior.keys})
+    left = evidence.given(found.prior.keys)
+    spurious = {}
+    for test in listed:
+        tested = score(left, test.candidate.columns()[test.variant])
+        # In the unit of the real test: what the bias squared is worth against the real scatter.
+        inflation = test.score.inflation if test.score else 1.0
+        spurious[test.candidate.name] = tested.gain / inflation if tested else 0.0
+    return spurious
+
+
 def advance(
     now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str]
 ) -> tuple[Step | None, list[str]]:
@@ -236,6 +268,10 @@ def advance(
     tests = {name: test for name, test in now.tests.items() if name not in avoid}
     for _ in range(3):
         standing = [t for t in tests.values() if t.statistic > threshold(now) and t.gain > WORTH * now.samples]
+        standing.sort(key=lambda test: -test.statistic)
+        spurious = stirred(now, runs, standing[:8]) if standing else {}
+        # A bias adds to the size: it must be small beside it.
+        standing = [t for t in standing[:8] if np.sqrt(t.statistic) - 2 * np.sqrt(spurious.get(t.candidate.name, 0.0)) > np.sqrt(threshold(now))]
         if not standing:
             return None, broken
         best = max(standing, key=lambda test: test.statistic)

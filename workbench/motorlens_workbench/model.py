@@ -3,6 +3,9 @@
 `predict` runs forwards and puts the sensors in between; `sensitivities_of` gives the same for a small change of every
 parameter. A key names a parameter of the motor file ("R_a0", "coulomb_friction.tau_c", "speed_sensor_gain.gain"), or one of
 a single run, written "NAME@RUN": its initial states, and what was not measured or not synchronised.
+
+Friction is taken in its smooth form: a measured load is the torque that acts, noise included, also on a rotor at rest, and
+derivatives exist everywhere.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,7 +83,7 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
     Raises:
         ModelError: the simulation cannot go on.
     """
-    trajectory = simulate(model.file.motor, inputs_of(model, run, r), start_of(model, r))
+    trajectory = simulate(model.file.motor, inputs_of(model, run, r), start_of(model, r), smooth=True)
     return trajectory, shown(model, run, r, _stack(run, trajectory))
 
 
@@ -125,13 +128,13 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
         for key, name in zip(keys, local, strict=True)
         if ("@" not in key and not _is_sensor(model, key)) or name.startswith("initial.")
     )
-    trajectory, derivative = sensitivities(motor, inputs, start, of_motor, ())
+    trajectory, derivative = sensitivities(motor, inputs, start, of_motor, (), smooth=True)
     y = _stack(run, trajectory)
     forced = [name for name in local if name == "load"]
     columns = np.zeros((len(y), len(run.channels), len(keys)))
     inside: Array | None = None
     if forced or any(_is_sensor(model, key) and _sensor(model, key).channel not in run.channels for key in keys):
-        _, linearisation = linearise(motor, inputs, start)
+        _, linearisation = linearise(motor, inputs, start, smooth=True)
     else:
         linearisation = None
     for j, (key, name) in enumerate(zip(keys, local, strict=True)):

@@ -14,7 +14,7 @@ from motorlens_physics.simulation import Inputs
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.denoise import smoothed
+from motorlens_workbench.denoise import noise_sd, smoothed
 from motorlens_workbench.whitening import quantisation_step
 
 Array = NDArray[np.float64]
@@ -40,6 +40,7 @@ class Run:
         known: which inputs were recorded beside the voltage.
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
+        input_noise: standard deviation of what was smoothed away from the voltage (V) and the load torque (N m).
     """
 
     name: str
@@ -52,6 +53,7 @@ class Run:
     known: tuple[str, ...]
     floor: Array
     angle: Array | None = None
+    input_noise: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -79,12 +81,22 @@ class Run:
         steps = np.diff(time)
         if np.std(steps) > 0.1 * np.median(steps):
             return self
+        shown = self.inputs
         smooth = replace(
-            self.inputs,
-            voltage_V=smoothed(self.inputs.voltage_V),
-            load_torque_Nm=smoothed(self.inputs.load_torque_Nm),
+            shown, voltage_V=smoothed(shown.voltage_V), load_torque_Nm=smoothed(shown.load_torque_Nm)
         )
-        return replace(self, inputs=smooth)
+        noise = (noise_sd(shown.voltage_V), noise_sd(shown.load_torque_Nm))
+        return replace(self, inputs=smooth, input_noise=noise)
+
+    def stirred(self, rng: np.random.Generator) -> "Run":
+        """With errors of its inputs as large again as those that smoothing left; itself if they were not smoothed."""
+        if not any(self.input_noise):
+            return self
+        voltage, load = (
+            smoothed(y + sd * rng.standard_normal(len(y)), sd)
+            for y, sd in zip((self.inputs.voltage_V, self.inputs.load_torque_Nm), self.input_noise, strict=True)
+        )
+        return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
 
     def fresh(self) -> NDArray[np.bool_]:
         """(rows,) averaged rows of which every sample is valid."""
@@ -115,7 +127,8 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     valid = np.ones(rows, dtype=bool)
     floor = np.empty(len(used))
     start = {"i": 0.0, "w": 0.0, "theta": 0.0}
-    ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
+    # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other.
+    ambient = smoothed(recording.channels.get("ambient", np.full(rows, file.rated.ambient_C)))
     every = max(1, -(-rows // ROWS))
     for k, channel in enumerate(used):
         y = recording.channels[channel]

@@ -60,7 +60,7 @@ class Line:
     @classmethod
     def of(cls, model: Model, run: Run, r: int) -> "Line":
         """Linearise the model along a run."""
-        trajectory, linearisation = linearise(model.file.motor, inputs_of(model, run, r), start_of(model, r))
+        trajectory, linearisation = linearise(model.file.motor, inputs_of(model, run, r), start_of(model, r), smooth=True)
 
         def respond(voltage: Array, torque: Array, heat: Array) -> Array:
             states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat)
@@ -256,4 +256,27 @@ def with_priors(evidence: Evidence, found: Fit) -> Evidence:
     return evidence.with_prior(centre, {key: 1.0 for key in found.prior.keys})
 
 
-__all__ = ["RESIDUAL", "Columns", "Line", "all_columns", "evidence_of", "layout", "unexplained", "with_priors"]
+def held_out_rmse(
+    found: Fit, runs: Sequence[Run], columns: Sequence[Columns], evidence: Evidence, folds: int = 6
+) -> dict[str, float]:
+    """RMSE of each channel on blocks of time that the parameters were not fitted to.
+
+    The blocks of a fold are spread evenly over the recordings, so that each fold sees every operating region; the fitted
+    parameters are solved again, linearised, without each fold in turn.
+    """
+    keys = found.prior.keys
+    blocks = layout(runs, found.whiteners)
+    squares: dict[str, list[Array]] = {}
+    for fold in range(folds):
+        kept = np.array([k >= len(blocks) or k % folds != fold for k in range(len(evidence.blocks))])
+        part = Evidence(evidence.names, evidence.blocks[kept], evidence.samples[kept], evidence.power)
+        move, _ = part.solve(keys)
+        for r, rows in (block for k, block in enumerate(blocks) if k % folds == fold):
+            error = columns[r].residual[rows] - columns[r].values[rows][:, :, : len(keys)] @ move
+            good = error[runs[r].fresh()[rows]]
+            for c, channel in enumerate(runs[r].channels):
+                squares.setdefault(channel, []).append(good[:, c] ** 2)
+    return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
+
+
+__all__ = ["RESIDUAL", "Columns", "Line", "all_columns", "evidence_of", "held_out_rmse", "layout", "unexplained", "with_priors"]

@@ -29,8 +29,8 @@ REAL = 26.0
 WORTH = 1e-3
 
 
-# Times the typical size that an effect may plausibly have.
-PLAUSIBLE = 40.0
+# Times the typical size that an effect, and a sensor's fault, may plausibly have.
+PLAUSIBLE = {"effect": 40.0, "sensor": 12.0}
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _sized(candidate: Candidate, v: int, tested: Score | None, typical: float) -
     slack = 2 * abs(typical) * float(np.sqrt(tested.covariance[0, 0]))
     within = low - slack <= switch.null + size <= high + slack
     # A size far beyond what such an effect can have is the mark of a column that hardly differs from a base parameter's.
-    plausible = abs(size) < PLAUSIBLE * abs(typical) + slack
+    plausible = abs(size) < PLAUSIBLE[candidate.kind] * abs(typical) + slack
     return Test(candidate, v, tested, size, within and plausible, typical)
 
 

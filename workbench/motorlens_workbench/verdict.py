@@ -8,15 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motorlens_workbench.candidates import EQUATIONS, UNITS
 from motorlens_workbench.diagnosis import Bend, Finding, Look, Step
-from motorlens_workbench.evidence import Evidence
-from motorlens_workbench.screen import layout
+from motorlens_workbench.screen import held_out_rmse
 from motorlens_workbench.selection import REAL, WORTH, Test
-
-Array = NDArray[np.float64]
 
 # A rival whose loss (2 log likelihood over inflation) is below this cannot be told apart.
 TOLD_APART = 14.0
@@ -101,7 +97,11 @@ def structure(found: Finding) -> Bend | None:
 
 def strongest(now: Look) -> Bend | None:
     """The free curve that explains most, if any is beyond chance."""
-    real = [bend for bend in now.bends if bend.deviations > BENT and bend.gain > 2 * REAL]
+    real = [
+        bend
+        for bend in now.bends
+        if bend.deviations > BENT and bend.gain > 2 * max(REAL, now.decoy) and bend.best > max(REAL, 3 * now.decoy)
+    ]
     return max(real, key=lambda bend: bend.gain, default=None)
 
 
@@ -178,27 +178,9 @@ def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
     return {switch.name: {"value": switch.null + test.size, "sd": sd, "unit": switch.unit}}
 
 
-def held_out(now: Look, found: Finding, folds: int = 6) -> dict[str, float]:
-    """RMSE of each channel on blocks of time that the parameters were not fitted to, blocks of each fold spread evenly.
-
-    The fitted parameters are solved again, linearised, without each fold in turn.
-    """
-    keys = now.found.prior.keys
-    blocks = layout(found.runs, now.found.whiteners)
-    squares: dict[str, list[float]] = {}
-    for fold in range(folds):
-        kept = np.array([k % folds != fold for k in range(len(blocks))] + [True] * (len(now.evidence.blocks) - len(blocks)))
-        part = Evidence(now.evidence.names, now.evidence.blocks[kept], now.evidence.samples[kept], now.evidence.power)
-        move, _ = part.solve(keys)
-        for k, (r, rows) in enumerate(blocks):
-            if k % folds != fold:
-                continue
-            one, run = now.columns[r], found.runs[r]
-            error = one.residual[rows] - one.values[rows][:, :, : len(keys)] @ move
-            good = error[run.fresh()[rows]]
-            for c, channel in enumerate(run.channels):
-                squares.setdefault(channel, []).extend((good[:, c] ** 2).tolist())
-    return {channel: float(np.sqrt(np.mean(values))) for channel, values in squares.items()}
+def held_out(now: Look, found: Finding) -> dict[str, float]:
+    """RMSE of each channel on blocks of time that the parameters were not fitted to, see `held_out_rmse`."""
+    return held_out_rmse(now.found, found.runs, now.columns, now.evidence)
 
 
 def noise_floor(now: Look, found: Finding) -> dict[str, float]:

@@ -1,0 +1,63 @@
+"""Add an effect to a motor file, everything refitted, and show what it was worth.
+
+example:
+  motorlens add coulomb_friction --motor motor.toml --fit bench1.csv bench2.csv --judge bench3.csv -o better.toml
+
+The ladder shows the error on blocks of time held out (and on the recordings of --judge, run freely) for the textbook alone
+and for each effect so far. An effect that the data do not support is not written, unless --force is given: exit status 1.
+`--remove` takes an effect out again. The old file is kept.
+"""
+
+import argparse
+from pathlib import Path
+
+from motorlens_runtime.cli import add_json_argument, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("effect", metavar="EFFECT", help="name of an effect or sensor fault of the catalogue")
+    parser.add_argument("--motor", required=True, metavar="MOTOR.toml", help="motor file")
+    parser.add_argument("--fit", nargs="+", required=True, metavar="REC", help="recordings to fit to")
+    parser.add_argument("--judge", nargs="+", default=[], metavar="REC", help="recordings to judge by, not fitted to")
+    parser.add_argument("-o", "--output", required=True, metavar="NEW.toml", help="the new motor file")
+    parser.add_argument("--remove", action="store_true", help="take the effect out instead")
+    parser.add_argument("--force", action="store_true", help="write the file even if the data do not support it")
+    parser.add_argument(
+        "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
+    )
+    parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
+    parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from motorlens_physics.effect import load_effects
+    from motorlens_physics.motor_file import read_motor_file, write_motor_file
+    from motorlens_physics.recording import read_recording
+    from motorlens_workbench import ladder as ladders
+    from motorlens_workbench.ladder_report import to_html, to_json, to_text
+    from motorlens_workbench.telling import teller
+
+    from motorlens_runtime.errors import DataError
+
+    if Path(arguments.output).resolve() == Path(arguments.motor).resolve():
+        raise DataError(f"{arguments.output} is the motor file itself, which is kept; give another name with -o")
+    own = load_effects(arguments.effects_from) if arguments.effects_from else {}
+    file = read_motor_file(arguments.motor, own.values())
+    fitted = [read_recording(path, arguments.column) for path in arguments.fit]
+    judge = [read_recording(path, arguments.column) for path in arguments.judge]
+    say = teller("add")
+    if arguments.remove:
+        found = ladders.remove(file, arguments.effect, fitted, judge, say)
+    else:
+        found = ladders.add(file, arguments.effect, fitted, judge, tuple(own.values()), say)
+    written = found.supported or (arguments.force and found.rungs[-1].added == arguments.effect)
+    document = to_json(found, arguments.effect, arguments.motor, arguments.output if written else None)
+    if written:
+        write_motor_file(found.rungs[-1].file, arguments.output)
+    if arguments.json != "-":
+        print(to_text(document))
+    write_json(document, arguments.json)
+    if arguments.html:
+        Path(arguments.html).write_text(to_html(document), encoding="utf-8")
+    return 0 if written else 1

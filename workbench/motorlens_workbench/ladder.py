@@ -1,0 +1,171 @@
+"""Adding an effect to a motor file, and the ladder of held-out error that shows what each effect so far was worth."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from motorlens_physics.effect import Effect
+from motorlens_physics.motor_file import Knowledge, MotorFile
+from motorlens_physics.recording import Recording
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import DataError
+from motorlens_workbench.diagnosis import base_fit, look
+from motorlens_workbench.fitting import Fit, noise_of, start_model
+from motorlens_workbench.model import predict
+from motorlens_workbench.run import Run, prepare
+from motorlens_workbench.screen import all_columns, evidence_of, held_out_rmse, with_priors
+from motorlens_workbench.selection import REAL, WORTH, Progress, refit, total
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One model of the ladder.
+
+    Attributes:
+        added: what distinguishes it from the rung below; "" for the lowest.
+        file: fitted.
+        held_out: RMSE of each channel on blocks of time held out.
+        judged: RMSE of each channel on recordings that were not fitted at all, run freely; empty without any.
+    """
+
+    added: str
+    file: MotorFile
+    held_out: Mapping[str, float]
+    judged: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The rungs, the lowest first; what the noise alone would leave; whether the data support the last step, and why not."""
+
+    rungs: tuple[Rung, ...]
+    noise_floor: Mapping[str, float]
+    statistic: float
+    supported: bool
+    why: str
+
+
+def add(
+    file: MotorFile,
+    name: str,
+    recordings: Sequence[Recording],
+    judge: Sequence[Recording] = (),
+    own: Sequence[type[Effect]] = (),
+    say: Progress = lambda text: None,
+) -> Ladder:
+    """Fit the motor file with an effect or a sensor fault added; refit everything.
+
+    Raises:
+        DataError: the effect is in the file already, or there is none of that name for these recordings.
+    """
+    if any(part.name() == name for part in (*file.motor.effects, *file.sensors)):
+        raise DataError(f"{name} is in the motor file already; --remove takes it out")
+    runs = tuple(prepare(recording, file) for recording in recordings)
+    rungs = []
+    lower = _stripped(file)
+    names = [part.name() for part in (*file.motor.effects, *file.sensors)]
+    for k in range(len(names)):
+        say(f"fitting {'the textbook alone' if k == 0 else 'with ' + names[k - 1]}")
+        rungs.append(_rung(names[k - 1] if k else "", _with(lower, file, names[:k]), runs, judge)[0])
+    say("fitting the motor file as it is")
+    rung, fitted, runs = _rung(names[-1] if names else "", file, runs, judge)
+    rungs.append(rung)
+    say(f"screening for {name}")
+    now = look(fitted, runs, own)
+    test = now.tests.get(name)
+    if test is None:
+        raise DataError(f"{name}: no such effect or sensor fault for these recordings; known: {', '.join(sorted(now.tests))}")
+    if test.score is None:
+        return Ladder(tuple(rungs), _floor(now.noise, runs), 0.0, False, "it is a copy of what the base parameters already do")
+    say(f"fitting with {name}")
+    found = refit(now.found, now.evidence, test, runs, rounds=10)
+    if found is None:
+        return Ladder(tuple(rungs), _floor(now.noise, runs), test.statistic, False, "no model with it could be simulated")
+    rungs.append(_described(name, found, runs, judge, recordings))
+    gain = (total(now.found) - total(found)) / test.score.inflation
+    before, after = rungs[-2].held_out, rungs[-1].held_out
+    better = any(after[c] < before[c] for c in after) and all(after[c] < 1.02 * before[c] for c in after)
+    why = ""
+    if gain < REAL or gain * test.score.inflation < WORTH * now.samples:
+        why = f"what it explains is within chance (statistic {gain:.3g}, needed {REAL:g})"
+    elif not better:
+        why = "the error on blocks held out does not fall"
+    return Ladder(tuple(rungs), _floor(now.noise, runs), gain, not why, why)
+
+
+def remove(
+    file: MotorFile, name: str, recordings: Sequence[Recording], judge: Sequence[Recording] = (), say: Progress = lambda text: None
+) -> Ladder:
+    """Fit the motor file without an effect or sensor model.
+
+    Raises:
+        DataError: the file has it not.
+    """
+    if not any(part.name() == name for part in (*file.motor.effects, *file.sensors)):
+        raise DataError(f"{name} is not in the motor file")
+    runs = tuple(prepare(recording, file) for recording in recordings)
+    say("fitting the motor file as it is")
+    with_it, _, _ = _rung(name, file, runs, judge)
+    without = replace(
+        file,
+        motor=file.motor.without_effect(name),
+        sensors=tuple(sensor for sensor in file.sensors if sensor.name() != name),
+    )
+    say(f"fitting without {name}")
+    rung, found, used = _rung(f"without {name}", without, runs, judge)
+    floor = _floor(tuple(np.std(e[run.fresh()], axis=0) for e, run in zip(found.residuals, used, strict=True)), used)
+    return Ladder((with_it, rung), floor, 0.0, True, "")
+
+
+def _stripped(file: MotorFile) -> MotorFile:
+    return replace(file, motor=replace(file.motor, effects=()), sensors=())
+
+
+def _with(lower: MotorFile, file: MotorFile, names: Sequence[str]) -> MotorFile:
+    effects = tuple(effect for effect in file.motor.effects if effect.name() in names)
+    sensors = tuple(sensor for sensor in file.sensors if sensor.name() in names)
+    return replace(lower, motor=replace(lower.motor, effects=effects), sensors=sensors)
+
+
+def _rung(
+    added: str, file: MotorFile, runs: Sequence[Run], judge: Sequence[Recording]
+) -> tuple[Rung, Fit, tuple[Run, ...]]:
+    found, used = base_fit(file, runs)
+    found = replace(found, whiteners=noise_of(found.residuals, used, len(found.prior.keys)))
+    return _described(added, found, used, judge, ()), found, used
+
+
+def _described(
+    added: str, found: Fit, runs: Sequence[Run], judge: Sequence[Recording], fitted_to: Sequence[Recording]
+) -> Rung:
+    columns, _ = all_columns(found, runs, (), (), with_decoys=False)
+    evidence = with_priors(evidence_of(columns, runs, found.whiteners), found)
+    source = "fitted to " + ", ".join(recording.name for recording in fitted_to or ())
+    spread = found.sd()
+    file = found.model.file
+    known = {key: Knowledge(spread[key], source) for key in file.values() if key in spread}
+    file = file.with_values({}, known)
+    return Rung(added, file, held_out_rmse(found, runs, columns, evidence), judged(file, judge, found.model.held))
+
+
+def judged(file: MotorFile, recordings: Sequence[Recording], held: Sequence[bool] = ()) -> dict[str, float]:
+    """RMSE of each channel of free runs over whole recordings, from their first samples, nothing fitted."""
+    squares: dict[str, list[Array]] = {}
+    for recording in recordings:
+        run = prepare(recording, file)
+        model = replace(start_model(file, [run]), held=(bool(held[0]) if held else False,))
+        error = (run.measured - predict(model, run, 0)[1])[run.valid]
+        for c, channel in enumerate(run.channels):
+            squares.setdefault(channel, []).append(error[:, c] ** 2)
+    return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
+
+
+def _floor(noise: Sequence[Array], runs: Sequence[Run]) -> dict[str, float]:
+    squares: dict[str, list[tuple[float, int]]] = {}
+    for sd, run in zip(noise, runs, strict=True):
+        for c, channel in enumerate(run.channels):
+            squares.setdefault(channel, []).append((float(sd[c] ** 2), len(run)))
+    return {c: float(np.sqrt(sum(s * n for s, n in p) / sum(n for _, n in p))) for c, p in squares.items()}
