@@ -34,7 +34,7 @@ from motorlens_physics.simulation import Array, cores
 from motorlens_runtime.errors import ModelError
 
 # Steps adapt to this relative error; noise is larger by orders of magnitude.
-TOLERANCE = 1e-5
+TOLERANCE = 1e-6
 # Largest gap between the end of a window and the next one's initial state, as a share of the rated quantity.
 GAP = 1e-3
 # A parameter whose deviation shrank by less than this share is not identified.
@@ -44,8 +44,8 @@ CONFOUNDED = 0.99
 # Smallest noise that is believed, as a share of the channel's largest value.
 SMALLEST_NOISE = 1e-6
 ITERATIONS = 60
-# A step this small, in deviations of the result, is the last.
-SMALL_STEP = 0.02
+# The fit ends this close to the minimum, in deviations of the result, and counts as converged within the second.
+SMALL_STEP, CONVERGED = 0.02, 0.3
 # Blocks of time whose contributions are compared.
 BLOCKS = 64
 
@@ -66,7 +66,7 @@ class Calibration:
         initial: for each recording, its initial state.
         load_torque_Nm: for each recording, the constant load fitted; empty if none was asked for.
         iterations: accepted steps.
-        converged: whether the last step was small against the deviations.
+        converged: whether what was left to go is small against the deviations.
         held: whether inputs were held between samples.
         file: the motor file with values, deviations and sources of what was identified written in.
     """
@@ -147,6 +147,10 @@ def calibrate(
     return _report(problem, recordings, q, noise, covariance, iterations, converged, bool(held))
 
 
+# What a run shows, by channel, and the states at its end.
+_Prediction = tuple[dict[str, Array], Array]
+
+
 @dataclass(frozen=True)
 class _Problem:
     file: MotorFile
@@ -167,10 +171,10 @@ class _Problem:
         """All runs at the coordinates q."""
         return [assign(self.file, self.unknowns, q, k, run) for k, run in enumerate(self.runs)]
 
-    def predictions(self, q: Array) -> list[tuple[dict[str, Array], Array]]:
+    def predictions(self, q: Array) -> list[_Prediction]:
         """What every run shows, and where it ends."""
 
-        def one(k: int) -> tuple[dict[str, Array], Array]:
+        def one(k: int) -> _Prediction:
             return predict(self.runs[k], points[k], tolerance=TOLERANCE)
 
         points = self.at(q)
@@ -193,11 +197,11 @@ def _residual(run: Run, shown: Mapping[str, Array], channel: str) -> Array:
     return run.measured[channel] - shown[channel]
 
 
-def _loss(problem: _Problem, q: Array, noise: Sequence[Mapping[str, Noise]]) -> float:
+def _loss(
+    problem: _Problem, q: Array, predictions: Sequence[_Prediction], noise: Sequence[Mapping[str, Noise]]
+) -> float:
     """Huber's loss of everything measured, and the priors; infinite where the motor cannot be simulated."""
-    try:
-        predictions = problem.predictions(q)
-    except ModelError:
+    if not predictions:
         return float("inf")
     loss = 0.5 * float(np.sum(((q - problem.means) / problem.sds) ** 2))
     for run, (shown, _), sizes in zip(problem.runs, predictions, noise, strict=True):
@@ -282,10 +286,11 @@ def _covariance(normal: Array, scores: Array) -> Array:
     return np.asarray(model * np.outer(widened, widened), dtype=np.float64)
 
 
-def _noise(problem: _Problem, q: Array, colour: int | None) -> list[dict[str, Noise]]:
+def _noise(
+    problem: _Problem, predictions: Sequence[_Prediction], colour: int | None
+) -> list[dict[str, Noise]]:
     """The noise of each channel, from the residuals of all windows of its recording."""
     residuals: dict[tuple[int, str], list[Array]] = {}
-    predictions = problem.predictions(q)
     for run, (shown, _) in zip(problem.runs, predictions, strict=True):
         for channel in run.measured:
             residuals.setdefault((run.recording, channel), []).append(_residual(run, shown, channel))
@@ -309,26 +314,38 @@ def _minimise(
     problem: _Problem, q: Array, order: int | None, progress: Callable[[str], None]
 ) -> tuple[Array, list[dict[str, Noise]], int, bool]:
     """Levenberg-Marquardt from q, noise of this order of colour estimated anew after every step."""
-    accepted, converged, damping = 0, False, 1e-3
-    noise = _noise(problem, q, order)
-    while accepted < ITERATIONS and not converged:
-        loss = _loss(problem, q, noise)
+    accepted, damping, left = 0, 1e-3, float("inf")
+    predictions = problem.predictions(q)
+    noise = _noise(problem, predictions, order)
+    while accepted < ITERATIONS:
+        loss = _loss(problem, q, predictions, noise)
         normal, right, _ = _normal_equations(problem, q, noise)
+        # How far the minimum is, in units of what the data can tell.
+        left = float(np.sqrt(right @ np.linalg.solve(normal, right)))
+        if left < SMALL_STEP:
+            break
         scale = np.diag(np.diag(normal))
-        lower, size, trial = float("inf"), float("inf"), q
-        while lower >= loss and size > SMALL_STEP and damping < 1e12:
+        lower, trial, ahead = float("inf"), q, predictions
+        while lower >= loss and damping < 1e9:
             change = np.linalg.solve(normal + damping * scale, right)
-            # In units of what the data can tell.
-            size = float(np.sqrt(np.maximum(change @ normal @ change, 0.0)))
             trial = _within_bounds(problem, q + change)
-            lower = _loss(problem, trial, noise)
+            ahead = _attempt(problem, trial)
+            lower = _loss(problem, trial, ahead, noise)
             damping *= 8.0
-        converged = size < SMALL_STEP or lower >= loss
-        if lower < loss:
-            q, accepted, damping = trial, accepted + 1, max(damping / 64.0, 1e-12)
-            noise = _noise(problem, q, order)
-            progress(f"step {accepted}: {size:.3g} deviations")
-    return q, noise, accepted, converged
+        if lower >= loss:
+            break
+        q, predictions, accepted, damping = trial, ahead, accepted + 1, max(damping / 64.0, 1e-12)
+        noise = _noise(problem, predictions, order)
+        progress(f"step {accepted}: {left:.3g} deviations to go")
+    return q, noise, accepted, left < CONVERGED
+
+
+def _attempt(problem: _Problem, q: Array) -> list[_Prediction]:
+    """Predictions, or nothing where the motor cannot be simulated."""
+    try:
+        return problem.predictions(q)
+    except ModelError:
+        return []
 
 
 def _within_bounds(problem: _Problem, q: Array) -> Array:

@@ -178,8 +178,8 @@ def _start(file: MotorFile, inputs: Inputs, measured: Mapping[str, Array]) -> di
         start["i"] = current
     if speed is not None:
         start["w"] = speed
-        if abs(speed) <= 1e-3 * float(np.nanmax(np.abs(measured["speed"]))):
-            start["w"] = 0.0
+        if abs(speed) <= max(4 * _roughness(measured["speed"]), 1e-3 * np.nanmax(np.abs(measured["speed"]))):
+            start["w"] = 0.0  # what does not stand out of the noise rests
     elif current is not None:
         start["w"] = float((inputs.voltage_V[0] - motor.resistance(start["theta"]) * current) / motor.ke)
     if current is None and speed is not None:
@@ -187,6 +187,12 @@ def _start(file: MotorFile, inputs: Inputs, measured: Mapping[str, Array]) -> di
         if start["w"] == 0.0 and inputs.voltage_V[0] == 0.0:
             start["i"] = 0.0
     return start
+
+
+def _roughness(y: Array) -> float:
+    """Deviation of the white noise on a channel, from its second differences."""
+    bends = np.abs(np.diff(y[np.isfinite(y)], 2))
+    return float(1.4826 * np.median(bends) / np.sqrt(6)) if bends.size else 0.0
 
 
 def _start_sd(file: MotorFile, run: Run, state: str, start_sd_K: float, extra: object) -> float:

@@ -3,10 +3,10 @@
 This is ordinary Python that `compile` copies, below the line, into the module it compiles; the step of a motor is handed
 in as a function, so the loop is compiled once for all motors.
 
-At rest the load and the friction are sets: the load is a brake, its torque anything between 0 and T_load, and stiction
-anything between its two limits. The rotor rests while some choice of them balances the motor's torque, so a load never
-drives a resting rotor backwards and a resting rotor does not drift. A step in which the speed passes through zero is cut
-there, and a resting rotor breaks away at the instant at which the balance becomes impossible.
+At rest the load and the friction are sets: the load is a brake that holds with up to its torque either way, and stiction
+with up to its own. The rotor rests while they can balance the motor's torque, so a load never drives a resting rotor and
+a resting rotor does not drift. A step in which the speed passes through zero is cut there, and a resting rotor breaks away
+at the instant at which the balance becomes impossible.
 """
 
 import math
@@ -27,11 +27,8 @@ INDUCTANCE, SPEED = 1, 1
 def breaks_away(rest: Any, x: Vector, p: Vector, t: float, u: Vector, ahead: float) -> tuple[float, float]:
     """By how much the torque on a resting rotor exceeds what can hold it (N m), and which way it would turn."""
     with_load, load, stiction = rest(x, p, t, u, ahead)
-    forwards = min(with_load, with_load + load) - stiction
-    backwards = -max(with_load, with_load + load) - stiction
-    if forwards >= backwards:
-        return forwards, 1.0
-    return backwards, -1.0
+    torque = with_load + load
+    return abs(torque) - abs(load) - stiction, 1.0 if torque > 0.0 else -1.0
 
 
 def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> float:

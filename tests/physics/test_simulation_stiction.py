@@ -63,9 +63,11 @@ def test_a_resting_rotor_does_not_drift() -> None:
 def test_a_load_never_drives_a_resting_rotor(motor: Motor, load: float) -> None:
     time = np.linspace(0.0, 1.0, 101)
     assert (simulate(motor, inputs(time, 0.0, load)).speed_rad_s == 0.0).all()
-    # Nor with a little motor torque against it.
-    volts = np.sign(load) * 5.0 * np.sin(9 * time) ** 2
-    assert (simulate(motor, inputs(time, volts, load)).speed_rad_s == 0.0).all()
+    # Nor does it when the motor pushes a little, either way.
+    assert (simulate(motor, inputs(time, 5.0 * np.sin(9 * time), load)).speed_rad_s == 0.0).all()
+    # Once the motor overcomes it, it goes, and where the motor wants.
+    assert simulate(motor, inputs(time, 60.0, load)).speed_rad_s[-1] > 0.0
+    assert simulate(motor, inputs(time, -60.0, load)).speed_rad_s[-1] < 0.0
 
 
 def test_a_start_against_a_load_waits_for_the_current() -> None:
