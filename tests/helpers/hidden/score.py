@@ -7,7 +7,8 @@ An answer is the JSON of `motorlens diagnose`. Definitions that a reader may wan
 - Detected: any verdict but `adequate` and `not_testable`. A diagnosis that failed is neither detected nor right.
 - The name given first: the first chosen, else the first of the first group, else the first candidate.
 - Separable: the generator's own Fisher information leaves no rival closer than 2 dlogL = 25.
-- Wrong with confidence: verdict `named` or `sensor_fault`, and a chosen name is neither hidden nor inseparable from what is.
+- Wrong with confidence: verdict `named` or `sensor_fault` (or a group of one beside others), and the name is neither
+  hidden nor inseparable from what is.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -102,13 +103,16 @@ def separable(row: Row) -> bool:
 def wrong_name(row: Row) -> bool:
     """A wrong name given with confidence."""
     truth, answer, _ = row
-    if answer is None or answer.get("verdict") not in ("named", "sensor_fault"):
+    if answer is None or answer.get("verdict") not in ("named", "sensor_fault", "group"):
         return False
+    given = set(answer.get("chosen") or [])
+    if answer["verdict"] == "group":
+        given = {group[0] for group in answer.get("groups") or [] if len(group) == 1}
     allowed = {effect["name"] for effect in truth["hidden"]}
     for effect in truth["hidden"]:
         # Outside the catalogue no name is right, however alike.
         allowed |= set() if effect["outside"] else set(effect["group"])
-    return bool(set(answer.get("chosen") or []) - allowed)
+    return bool(given - allowed)
 
 
 def right_kind(row: Row) -> bool:
