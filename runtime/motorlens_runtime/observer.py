@@ -6,9 +6,8 @@ every character comes from that table, so that nothing in a file is ever run tha
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -32,8 +31,8 @@ _FUNCTIONS = {
 }
 # A window is full a millionth before its period, for grids that miss it by rounding.
 _FULL = 1 - 1e-6
-# A step of more windows than this is taken in pieces, and of a longer pause than this only so much.
-_PAUSE_WINDOWS = 100
+# A rest is taken in steps of so many windows, and of a longer rest than this only so much.
+_REST_WINDOWS = 40
 _FORGOTTEN_S = 4 * 3600.0
 
 
@@ -65,13 +64,15 @@ class Observer:
         """A fresh observer."""
         return (0.0,) * self._size
 
-    def _steps(self, dt: float) -> Iterable[float]:
-        """A pause, in steps that the linearised model can take; what it held before, a motor has forgotten after hours."""
-        if dt <= _PAUSE_WINDOWS * self._full_s:
-            return (dt,)
-        pause = min(dt, _FORGOTTEN_S)
-        count = math.ceil(pause / (0.5 * _PAUSE_WINDOWS * self._full_s))
-        return repeat(pause / count, count)
+    def rest(self, state: State, off_s: float, ambient_C: float | None) -> State:
+        """The state after `off_s` seconds without voltage and current, which are known, so that the winding cools; a gap in
+        the samples is something else. In steps that the linearised model can take, and four hours of it at most."""
+        piece = _REST_WINDOWS * self._full_s
+        count = math.ceil(min(off_s, _FORGOTTEN_S) / piece)
+        zeros, used = np.zeros(count), np.ones(count, dtype=bool)
+        ambient = None if ambient_C is None else np.full(count, ambient_C)
+        dt_s = np.full(count, min(off_s, _FORGOTTEN_S) / max(count, 1))
+        return self.advance(state, zeros, zeros, ambient, dt_s, used, np.zeros(0, dtype=np.intp))[0]
 
     def advance(
         self, state: State, voltage_V: Array, current_A: Array, ambient_C: Array | None, dt_s: Array,
@@ -110,8 +111,8 @@ class Observer:
             strict=True,
         ):
             try:
-                for step in self._steps(dt) if use else ():
-                    window = accumulate(voltage, current, ambient, step, *window)
+                if use:
+                    window = accumulate(voltage, current, ambient, dt, *window)
                     if window[time] >= full:
                         whole = correct(ambient, *window, *memory)
                         if not math.isfinite(sum(whole)):

@@ -134,11 +134,7 @@ def restore(snapshot: Snapshot, sensor: Sensor, device: str, wall_time_ns: int) 
         message = "heat remembered; the clock stands before the snapshot, so no cooling is counted"
     memory = snapshot.observer
     if observer is not None and off_s > 0:
-        rest = np.zeros(1)
-        ambient = None if snapshot.ambient_C is None else np.array([snapshot.ambient_C])
-        memory, _ = observer.advance(
-            memory, rest, rest, ambient, np.array([off_s]), np.ones(1, dtype=bool), np.zeros(0, dtype=np.intp)
-        )
+        memory = observer.rest(memory, off_s, snapshot.ambient_C)
     return Restored(EstimatorState(bank.start(values), observer=memory), off_s, message)
 
 
