@@ -6,6 +6,9 @@ taken from the measurement. Levenberg-Marquardt on analytic sensitivities; each 
 (concentrated likelihood), whose colour is estimated and whitened; outliers count by Huber's loss; priors come from the
 motor file. Every recording has initial states of its own. Free runs that are unstable or drift are cut into windows
 that are tied together at their ends (multiple shooting, Bock 1981, doi:10.1007/978-3-642-68220-9_8).
+
+Inputs are taken as they were recorded. Noise on them that changes within R/L biases L, which then also stands for a filter
+of that noise; the command a drive holds is a better input than its noisy measurement.
 """
 
 from collections.abc import Callable, Mapping, Sequence
