@@ -48,11 +48,11 @@ class Hyperparameters:
     tau: Tensor
 
     @staticmethod
-    def start(architecture: Architecture) -> "Hyperparameters":
-        """Where training begins: weak prior, noise of a tenth of the targets' variance, independent errors."""
+    def start(architecture: Architecture, tau: float = 1.0) -> "Hyperparameters":
+        """Where training begins: weak prior, noise of a tenth of the targets' variance."""
         ones = torch.ones(architecture.outputs, dtype=torch.float64)
         return Hyperparameters(
-            torch.full((architecture.layers + 1,), 0.01, dtype=torch.float64), 10 * ones, ones
+            torch.full((architecture.layers + 1,), 0.01, dtype=torch.float64), 10 * ones, tau * ones
         )
 
     @property
@@ -159,7 +159,8 @@ def score_autocorrelation(
     metric H^-1, through random directions. Their autocorrelation is first summed up to five times the time found so
     far (Sokal's window), then up to eight times that time with Bartlett's weights, because the slowest directions
     matter most. A network that has fitted gamma slow shapes has taken just these out of its errors: the share
-    `gamma w / N` of the window w that is lost is made good.
+    `gamma w / N` of the window w that is lost is made good, up to a factor of two. At least two effective samples a
+    weight are left.
 
     Args:
         network: weights at the minimum.
@@ -180,7 +181,9 @@ def score_autocorrelation(
         total = _padded(total, longest) + _padded(products, longest)
     gamma = float(now.gamma.sum()) / outputs
     times = [_correlation_time(row / row[0], gamma, now.rows) if row[0] > 0 else 1.0 for row in total]
-    return torch.tensor(times, dtype=torch.float64)
+    # Tempered further, the network would shrink to nothing, its errors would last longer, and so on round the circle.
+    most = max(1.0, now.rows / (2 * network.architecture.parameters))
+    return torch.tensor(times, dtype=torch.float64).clamp_max(most)
 
 
 def _lagged_products(scores: np.ndarray) -> np.ndarray:
@@ -198,7 +201,7 @@ def _correlation_time(correlation: np.ndarray, gamma: float, rows: int) -> float
     sokal = max(times[int(np.argmax(inside))] if inside.any() else times[-1], 1.0)
     window = min(max(int(8 * sokal), 2), len(correlation))
     bartlett = 2 * float(((1 - lags[:window] / window) * correlation[:window]).sum()) - 1
-    return float(max(bartlett, sokal, 1.0) / max(1 - gamma * window / rows, 0.2))
+    return float(max(bartlett, sokal, 1.0) / max(1 - gamma * window / rows, 0.5))
 
 
 def _padded(rows: np.ndarray, length: int) -> np.ndarray:

@@ -78,8 +78,9 @@ def from_motor(
         rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3] if observed is not None else rate_Hz
         made.append(simulated(file, bank, deviations, rate, [seed, number], unknown))
         done(number + 1)
+    usual = (12, 8) if observed is None else (6,)
     recipe = Recipe(
-        name, bank, OUTPUTS, hidden or ((12, 8) if observed is None else (6,)), Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz),
+        name, bank, OUTPUTS, usual if hidden is None else hidden, Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz),
         5 * time_constants(file.motor).mechanical_s, seed,
         # What an observer leaves over is small, and alike for minutes.
         Settings(iterations=iterations, time_series=observed is not None),
@@ -171,7 +172,9 @@ def from_recordings(
     training = tuple(c for c in kept if c not in held) if held else tuple(kept)
     rate = Rate(1 / period, 0.5 / period, 2 / period)
     training_settings = Settings(iterations=iterations, time_series=True, single=False, ridge=1.0)
-    recipe = Recipe(name, bank, outputs, hidden or (4,), rate, 20 * period, seed, training_settings)
+    recipe = Recipe(
+        name, bank, outputs, (4,) if hidden is None else hidden, rate, 20 * period, seed, training_settings
+    )
     return Material(
         recipe, training, held, (), f"{len(training)} recordings: {', '.join(c.name for c in training)}"
     )

@@ -103,6 +103,17 @@ def evaluate(task: Task, candidate: Candidate) -> Result:
     )
 
 
+def comparable(task: Task, candidates: Sequence[Candidate]) -> Task:
+    """The task with one autocorrelation time for all candidates, found by the largest: evidences compare only then."""
+    if not task.settings.time_series:
+        return task
+    first = task.training[0]
+    structures = [c.architecture(first.x.shape[1], first.y.shape[1]) for c in candidates]
+    largest = max(structures, key=lambda a: a.parameters)
+    pilot = train(arrays(task.training), largest, candidates[0].seed, task.settings)
+    return replace(task, settings=replace(task.settings, time_series=False, tau=float(pilot.hyper.tau.max())))
+
+
 def search(
     task: Task, candidates: Sequence[Candidate], log: Path, workers: int, done: Callable[[Result, int], None]
 ) -> list[Result]:

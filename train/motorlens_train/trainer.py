@@ -55,6 +55,7 @@ class Settings:
         time_series: whether consecutive rows are a time series with correlated errors.
         single: whether products run in float32 (sums are float64 always).
         ridge: of the inputs' whitening.
+        tau: autocorrelation time of the errors to begin with, in samples; it stays unless `time_series` is set.
     """
 
     iterations: int = 300
@@ -65,6 +66,7 @@ class Settings:
     time_series: bool = False
     single: bool = True
     ridge: float = 1e-8
+    tau: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ class _Run:
 
     def start(self) -> State:
         hidden = initial(self.architecture, np.random.default_rng([self.seed, 1]))
-        hyper = Hyperparameters.start(self.architecture)
+        hyper = Hyperparameters.start(self.architecture, self.settings.tau)
         return State(hidden, hyper, 1.0, 0, 0, 0, hidden, hyper, float("inf"), 0, ())
 
     def iterate(self, state: State, point: Point | None) -> tuple[State, Point | None, str]:

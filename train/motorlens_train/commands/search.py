@@ -53,6 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         Task,
         answer,
         best_starts,
+        comparable,
         document,
         draw,
         restarts,
@@ -92,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
             file=sys.stderr, flush=True,
         )  # fmt: skip
 
-    task = Task(material.training, material.unseen, material.recipe.settings)
+    task = comparable(Task(material.training, material.unseen, material.recipe.settings), candidates)
     results = search(task, candidates, folder / "results.jsonl", arguments.workers, show)
     found = document(results)
     write_json(found, str(folder / "search.json"))
