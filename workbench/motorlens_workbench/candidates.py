@@ -13,11 +13,12 @@ from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
 from motorlens_physics.simulation import Trajectory
-from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,9 @@ class Candidate:
         return what.typical(file.rated) - what.null
 
 
-def candidates(file: MotorFile, channels: Sequence[str], inputs: Sequence[str], own: Sequence[type[Effect]] = ()) -> list[Candidate]:
+def candidates(
+    file: MotorFile, channels: Sequence[str], inputs: Sequence[str], own: Sequence[type[Effect]] = ()
+) -> list[Candidate]:
     """All effects the motor lacks, and all faults of the sensors that were recorded, one list.
 
     Args:
@@ -111,7 +114,9 @@ def _within(bounds: tuple[float, float], value: float) -> float:
 
 
 def _equation(effect: type[Effect]) -> str:
-    defines = [b for b in ("voltage", "torque", "heat", "inductance") if getattr(effect, b) is not getattr(Effect, b)]
+    defines = [
+        b for b in ("voltage", "torque", "heat", "inductance") if getattr(effect, b) is not getattr(Effect, b)
+    ]
     if "voltage" in defines and "torque" in defines:
         return "coupling"
     return EQUATIONS["voltage" if defines[0] == "inductance" else defines[0]]
@@ -135,11 +140,14 @@ def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
     full_x, null_x = (_states(one, trajectory, u) for one in (effect, null))
     rows = len(u.t)
     parts = {
-        name: _array(getattr(effect, name)(motor, full_x, u), rows) - _array(getattr(null, name)(motor, null_x, u), rows)
+        name: _array(getattr(effect, name)(motor, full_x, u), rows)
+        - _array(getattr(null, name)(motor, null_x, u), rows)
         for name in ("voltage", "torque", "heat", "inductance")
     }
     if parts["inductance"].any():
-        slope = _array(motor.balances(null_x, u)[0], rows) / np.maximum(_array(motor.inductance(null_x, u), rows), 1e-12)
+        slope = _array(motor.balances(null_x, u)[0], rows) / np.maximum(
+            _array(motor.inductance(null_x, u), rows), 1e-12
+        )
         parts["voltage"] = parts["voltage"] - parts["inductance"] * slope
     return Forcing(parts["voltage"], parts["torque"], parts["heat"])
 
@@ -162,7 +170,9 @@ def _states(effect: Effect, trajectory: Trajectory, u: Any) -> Any:
         setattr(x, name, np.ones(rows))
         a = _array(effect.rates(trajectory.motor, x, u)[name], rows) - b
         # What warms with the winding starts as warm as the winding.
-        first = float(trajectory.states["theta"][0]) if name.startswith("theta") else effect.states[name].initial
+        first = (
+            float(trajectory.states["theta"][0]) if name.startswith("theta") else effect.states[name].initial
+        )
         setattr(x, name, _integrate(u.t, a, b, first))
     return x
 

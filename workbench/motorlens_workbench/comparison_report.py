@@ -207,7 +207,9 @@ def _region_content(found: Comparison) -> list[str | Picture | Table]:
             },
             "hovertext": [f"{r.samples} samples" for r in found.map],
         }  # fmt: skip
-        caption = "Error in each cell of the operating range, in multiples of the noise; cells with few samples."
+        caption = (
+            "Error in each cell of the operating range, in multiples of the noise; cells with few samples."
+        )
         content.append(Picture(figure([cells], "speed, rad/s", "current, A", 420), caption))
     return content
 

@@ -8,23 +8,43 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
-from numpy.typing import NDArray
-
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, Curve, candidates, curves
 from motorlens_workbench.evidence import Evidence, curve_gain, score, statistics
 from motorlens_workbench.fitting import Fit, base_prior, fit, noise_of, plain_noise, squares, start_model
 from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import Run, prepare
-from motorlens_workbench.screen import Columns, Line, all_columns, columns_of, evidence_of, unexplained, with_priors
-from motorlens_workbench.selection import REAL, WORTH, Progress, Test, likeness, refit, rivals, test_all, total
+from motorlens_workbench.screen import (
+    Columns,
+    Line,
+    all_columns,
+    columns_of,
+    evidence_of,
+    unexplained,
+    with_priors,
+)
+from motorlens_workbench.selection import (
+    REAL,
+    WORTH,
+    Progress,
+    Test,
+    likeness,
+    refit,
+    rivals,
+    test_all,
+    total,
+)
 
 Array = NDArray[np.float64]
 
 MOST = 3
+# Standard deviations beyond chance at which a free curve counts.
+BENT = 8.0
 BALANCES = ("voltage", "torque", "heat")
 
 
@@ -191,7 +211,9 @@ def investigate(
         steps.append(step)
         say(f"screening again with {step.test.candidate.name}")
         current = look(step.found, runs, own)
-    return Finding(runs, base, first, tuple(steps), current, tuple(failed))
+    last = sober(current, runs)
+    first = last if not steps else sober(first, runs)
+    return Finding(runs, base, first, tuple(steps), last, tuple(failed))
 
 
 def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]]:
@@ -232,32 +254,78 @@ def threshold(now: Look) -> float:
     return max(REAL, 2.0 * now.decoy)
 
 
-def stirred(now: Look, runs: Sequence[Run], listed: Sequence[Test]) -> dict[str, float]:
-    """The statistic that the errors of the measured inputs alone would give each candidate.
+def stirred(
+    now: Look, runs: Sequence[Run], listed: Sequence[Candidate], free: Sequence[Curve]
+) -> Evidence | None:
+    """What the errors of the measured inputs alone would leave to candidates and curves; None if they were not smoothed.
 
     Those errors drive the simulation but not the motor, and are in residual and columns alike (errors in variables). The
     present model is taken for the truth, its inputs are disturbed as much again, and the test is repeated.
     """
     if not any(any(run.input_noise) for run in runs):
-        return {}
+        return None
     found, rng = now.found, np.random.default_rng(1)
     moved = [run.stirred(rng) for run in runs]
     columns = []
     for r, (run, other) in enumerate(zip(runs, moved, strict=True)):
         truth = run.average(predict(found.model, run, r)[1])
         one, _ = columns_of(
-            found.model, other, r, found.prior.keys, dict(found.prior.sd), [t.candidate for t in listed], (), False
+            found.model, other, r, found.prior.keys, dict(found.prior.sd), listed, free, False
         )
         columns.append(replace(one, residual=truth - (other.average(other.measured) - one.residual)))
-    evidence = evidence_of(columns, moved, found.whiteners).with_prior({}, {key: 1.0 for key in found.prior.keys})
-    left = evidence.given(found.prior.keys)
-    spurious = {}
+    evidence = evidence_of(columns, moved, found.whiteners).with_prior(
+        {}, {key: 1.0 for key in found.prior.keys}
+    )
+    return evidence.given(found.prior.keys)
+
+
+def spurious(now: Look, runs: Sequence[Run], listed: Sequence[Test]) -> dict[str, float]:
+    """The statistic that the errors of the measured inputs alone would give each candidate."""
+    left = stirred(now, runs, [test.candidate for test in listed], ())
+    if left is None:
+        return {}
+    found = {}
     for test in listed:
         tested = score(left, test.candidate.columns()[test.variant])
         # In the unit of the real test: what the bias squared is worth against the real scatter.
-        inflation = test.score.inflation if test.score else 1.0
-        spurious[test.candidate.name] = tested.gain / inflation if tested else 0.0
-    return spurious
+        found[test.candidate.name] = tested.gain / test.score.inflation if tested and test.score else 0.0
+    return found
+
+
+def sober(now: Look, runs: Sequence[Run]) -> Look:
+    """The screen with only those free curves that are beyond chance, and beyond what errors of the inputs would bend."""
+    real = [
+        bend
+        for bend in now.bends
+        if bend.deviations > BENT
+        and bend.gain > 2 * max(REAL, now.decoy)
+        and bend.best > max(REAL, 3 * now.decoy)
+    ]
+    if not real:
+        return replace(now, bends=[])
+    standing = sorted(now.tests.values(), key=lambda test: -test.statistic)[:6]
+    standing = [test for test in standing if test.statistic > REAL]
+    false_names = [name for name, value in spurious(now, runs, standing).items() if value > REAL / 4]
+    if false_names:
+        # What errors of the inputs feign is no shape of a missing term either.
+        labels = [
+            k for name in false_names for k in now.tests[name].candidate.columns()[now.tests[name].variant]
+        ]
+        again = {
+            bend.curve.columns()[0]: bend
+            for bend in bends_of(now.left.given(labels), [b.curve for b in real])
+        }
+        real = [bend for bend in (again.get(b.curve.columns()[0]) for b in real) if bend and bend.best > REAL]
+    left = stirred(now, runs, (), [bend.curve for bend in real]) if real else None
+    if left is not None:
+        false = {bend.curve.columns()[0]: bend for bend in bends_of(left, [bend.curve for bend in real])}
+        kept = []
+        for bend in real:
+            chance = false.get(bend.curve.columns()[0])
+            if chance is None or (bend.gain > 4 * chance.gain and bend.best > 4 * chance.best):
+                kept.append(bend)
+        real = kept
+    return replace(now, bends=real)
 
 
 def advance(
@@ -267,11 +335,18 @@ def advance(
     broken: list[str] = []
     tests = {name: test for name, test in now.tests.items() if name not in avoid}
     for _ in range(3):
-        standing = [t for t in tests.values() if t.statistic > threshold(now) and t.gain > WORTH * now.samples]
+        standing = [
+            t for t in tests.values() if t.statistic > threshold(now) and t.gain > WORTH * now.samples
+        ]
         standing.sort(key=lambda test: -test.statistic)
-        spurious = stirred(now, runs, standing[:8]) if standing else {}
+        false = spurious(now, runs, standing[:8]) if standing else {}
         # A bias adds to the size: it must be small beside it.
-        standing = [t for t in standing[:8] if np.sqrt(t.statistic) - 2 * np.sqrt(spurious.get(t.candidate.name, 0.0)) > np.sqrt(threshold(now))]
+        standing = [
+            test
+            for test in standing[:8]
+            if np.sqrt(test.statistic) - 2 * np.sqrt(false.get(test.candidate.name, 0.0))
+            > np.sqrt(threshold(now))
+        ]
         if not standing:
             return None, broken
         best = max(standing, key=lambda test: test.statistic)
@@ -282,7 +357,11 @@ def advance(
             tried = refit(now.found, now.evidence, test, runs)
             if tried is not None:
                 refits[test.candidate.name] = tried
-        good = {name: tried for name, tried in refits.items() if total(now.found) - total(tried) > 0.5 * tests[name].gain}
+        good = {
+            name: tried
+            for name, tried in refits.items()
+            if total(now.found) - total(tried) > 0.5 * tests[name].gain
+        }
         if good:
             winner = min(good, key=lambda name: total(good[name]))
             return _accept(now, tests, winner, refits), broken
@@ -302,7 +381,7 @@ def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fi
             continue
         alike[name] = likeness(now.left, chosen, test)
         # Twins are as significant as each other; a column of scatter is not a rival however large its gain.
-        if not test.allowed or test.statistic < 0.3 * chosen.statistic and name not in refits:
+        if not test.allowed or (test.statistic < 0.3 * chosen.statistic and name not in refits):
             continue
         by_screen = chosen.score.gain - test.score.gain
         loss = total(refits[name]) - total(found) if name in refits else by_screen

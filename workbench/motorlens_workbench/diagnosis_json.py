@@ -49,7 +49,11 @@ def ranked(found: Finding, verdict: Verdict) -> list[str]:
     first = {**found.last.tests, **found.first.tests}
     return sorted(
         first,
-        key=lambda name: (name not in verdict.chosen, -verdict.probability.get(name, 0.0), -first[name].statistic),
+        key=lambda name: (
+            name not in verdict.chosen,
+            -verdict.probability.get(name, 0.0),
+            -first[name].statistic,
+        ),
     )
 
 
@@ -64,7 +68,11 @@ def _candidate(found: Finding, verdict: Verdict, name: str) -> dict[str, Any]:
     test: Test = found.first.tests.get(name) or found.last.tests[name]
     score = test.score
     late = found.last.tests.get(name, test)
-    detectable = late.detectable(found.last.samples) if name not in verdict.chosen else test.detectable(found.first.samples)
+    detectable = (
+        late.detectable(found.last.samples)
+        if name not in verdict.chosen
+        else test.detectable(found.first.samples)
+    )
     entry: dict[str, Any] = {
         "name": name,
         "kind": test.candidate.kind,
@@ -131,7 +139,9 @@ def to_text(document: dict[str, Any]) -> str:
     error = document["error"]
     rows.append(f"{'channel':<14}{'before':>12}{'after':>12}{'noise':>12}   RMSE on blocks of time held out")
     for channel, before in error["before"].items():
-        rows.append(f"{channel:<14}{before:>12.4g}{error['after'][channel]:>12.4g}{error['noise_floor'][channel]:>12.4g}")
+        rows.append(
+            f"{channel:<14}{before:>12.4g}{error['after'][channel]:>12.4g}{error['noise_floor'][channel]:>12.4g}"
+        )
     rows += ["", f"{'candidate':<34}{'gain':>10}{'p':>10}{'probability':>13}{'size':>12}{'detectable':>12}"]
     for entry in document["candidates"][:SHOWN]:
         size = next(iter(entry["parameters"].values()), {"value": float("nan"), "unit": ""})

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from motorlens_physics.scenario import perform, scenarios
 from numpy.typing import NDArray
 
+from motorlens_physics.scenario import perform, scenarios
 from motorlens_runtime.errors import MotorlensError
 from motorlens_workbench.candidates import Candidate, candidates
 from motorlens_workbench.diagnosis import Finding
@@ -70,7 +70,10 @@ def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Exper
     names = ", ".join(group)
     if best is None or best[0] < SETTLED / 10:
         return Experiment(
-            "", group, 0.0, "no run of this motor tells them apart; calibrate or exchange the sensors concerned"
+            "",
+            group,
+            0.0,
+            "no run of this motor tells them apart; calibrate or exchange the sensors concerned",
         )
     worst, seconds, name = best
     needed = float(np.clip(seconds * SETTLED / worst, seconds, LONGEST_S))
@@ -82,7 +85,12 @@ def _known(found: Finding) -> tuple[str, ...]:
 
 
 def _distance(
-    found: Finding, listed: Sequence[Candidate], scenario: object, floor: dict[str, float], strength: float, rng: np.random.Generator
+    found: Finding,
+    listed: Sequence[Candidate],
+    scenario: object,
+    floor: dict[str, float],
+    strength: float,
+    rng: np.random.Generator,
 ) -> tuple[float, float]:
     """2 log likelihood between the closest pair that a run of a scenario would bring, and its seconds."""
     file = replace(found.base.model.file, sensors=())
@@ -90,7 +98,9 @@ def _distance(
     recording = replace(
         recording,
         channels={
-            q: y for q, y in recording.channels.items() if q in floor or q in ("voltage", "ambient", *_known(found))
+            q: y
+            for q, y in recording.channels.items()
+            if q in floor or q in ("voltage", "ambient", *_known(found))
         },
     )
     run = prepare(recording, file)

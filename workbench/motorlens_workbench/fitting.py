@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Parameter
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
-from numpy.typing import NDArray
-
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.model import Model, differences_of, predict, sensitivities_of
 from motorlens_workbench.run import STATE_OF, Run
@@ -74,7 +74,9 @@ class Fit:
 
     def sd(self) -> dict[str, float]:
         """Standard deviation of each parameter fitted."""
-        return dict(zip(self.prior.keys, np.sqrt(np.maximum(np.diagonal(self.covariance), 0)).tolist(), strict=True))
+        return dict(
+            zip(self.prior.keys, np.sqrt(np.maximum(np.diagonal(self.covariance), 0)).tolist(), strict=True)
+        )
 
 
 def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
@@ -122,7 +124,11 @@ def part_prior(file: MotorFile, name: str) -> Prior:
 
 def _nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
     rated = file.rated
-    own = {"initial.i": 0.3 * rated.current_A, "initial.w": 0.02 * rated.speed_rad_s, "initial.theta": 0.3 * rated.rise_K}
+    own = {
+        "initial.i": 0.3 * rated.current_A,
+        "initial.w": 0.02 * rated.speed_rad_s,
+        "initial.theta": 0.3 * rated.rise_K,
+    }
     if "speed" not in run.channels:
         own["initial.w"] = 0.1 * rated.speed_rad_s
     if "temperature" not in run.channels:
@@ -233,7 +239,9 @@ def fit(
     for _ in range(rounds):
         values = model.values()
         cost = squares(residuals, runs, noise) + penalty_of(values, prior)
-        gram, gradient = normal_equations(model, runs, keys, noise, residuals, prior if by_differences else None)
+        gram, gradient = normal_equations(
+            model, runs, keys, noise, residuals, prior if by_differences else None
+        )
         gram += np.diag(1 / scale**2)
         gradient += np.array([(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys])
         moved = False
@@ -259,7 +267,13 @@ def fit(
             break
     inverse = _inverse(gram)
     return Fit(
-        model, prior, noise, squares(residuals, runs, noise), penalty_of(model.values(), prior), inverse, residuals
+        model,
+        prior,
+        noise,
+        squares(residuals, runs, noise),
+        penalty_of(model.values(), prior),
+        inverse,
+        residuals,
     )
 
 
@@ -278,7 +292,9 @@ def normal_equations(
         if by_differences is None:
             _, _, columns = sensitivities_of(model, run, r, [keys[k] for k in mine])
         else:
-            _, _, columns = differences_of(model, run, r, [keys[k] for k in mine], _steps(model, by_differences))
+            _, _, columns = differences_of(
+                model, run, r, [keys[k] for k in mine], _steps(model, by_differences)
+            )
         kept = usable(run, whitener)
         z = whitener(run.average(columns))[kept].reshape(-1, len(mine))
         e = whitener(residual)[kept].ravel()
@@ -297,7 +313,9 @@ def _steps(model: Model, prior: Prior) -> dict[str, float]:
     return steps
 
 
-def _step(model: Model, prior: Prior, keys: Sequence[str], gram: Array, gradient: Array, damping: float) -> Model:
+def _step(
+    model: Model, prior: Prior, keys: Sequence[str], gram: Array, gradient: Array, damping: float
+) -> Model:
     values = model.values()
     at = np.array([values[key] for key in keys])
     low = np.array([prior.bounds[key][0] for key in keys])
@@ -330,4 +348,14 @@ def effect_channel(file: MotorFile, name: str) -> str | None:
     return next((sensor.channel for sensor in file.sensors if sensor.name() == name), None)
 
 
-__all__ = ["RATED_OF_CHANNEL", "STATE_OF", "Fit", "Parameter", "Prior", "base_prior", "fit", "part_prior", "replace"]
+__all__ = [
+    "RATED_OF_CHANNEL",
+    "STATE_OF",
+    "Fit",
+    "Parameter",
+    "Prior",
+    "base_prior",
+    "fit",
+    "part_prior",
+    "replace",
+]

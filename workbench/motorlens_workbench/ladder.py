@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
-from numpy.typing import NDArray
-
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.diagnosis import base_fit, look
 from motorlens_workbench.fitting import Fit, noise_of, start_model
@@ -77,13 +77,27 @@ def add(
     now = look(fitted, runs, own)
     test = now.tests.get(name)
     if test is None:
-        raise DataError(f"{name}: no such effect or sensor fault for these recordings; known: {', '.join(sorted(now.tests))}")
+        raise DataError(
+            f"{name}: no such effect or sensor fault for these recordings; known: {', '.join(sorted(now.tests))}"
+        )
     if test.score is None:
-        return Ladder(tuple(rungs), _floor(now.noise, runs), 0.0, False, "it is a copy of what the base parameters already do")
+        return Ladder(
+            tuple(rungs),
+            _floor(now.noise, runs),
+            0.0,
+            False,
+            "it is a copy of what the base parameters already do",
+        )
     say(f"fitting with {name}")
     found = refit(now.found, now.evidence, test, runs, rounds=10)
     if found is None:
-        return Ladder(tuple(rungs), _floor(now.noise, runs), test.statistic, False, "no model with it could be simulated")
+        return Ladder(
+            tuple(rungs),
+            _floor(now.noise, runs),
+            test.statistic,
+            False,
+            "no model with it could be simulated",
+        )
     rungs.append(_described(name, found, runs, judge, recordings))
     gain = (total(now.found) - total(found)) / test.score.inflation
     before, after = rungs[-2].held_out, rungs[-1].held_out
@@ -97,7 +111,11 @@ def add(
 
 
 def remove(
-    file: MotorFile, name: str, recordings: Sequence[Recording], judge: Sequence[Recording] = (), say: Progress = lambda text: None
+    file: MotorFile,
+    name: str,
+    recordings: Sequence[Recording],
+    judge: Sequence[Recording] = (),
+    say: Progress = lambda text: None,
 ) -> Ladder:
     """Fit the motor file without an effect or sensor model.
 
@@ -116,7 +134,9 @@ def remove(
     )
     say(f"fitting without {name}")
     rung, found, used = _rung(f"without {name}", without, runs, judge)
-    floor = _floor(tuple(np.std(e[run.fresh()], axis=0) for e, run in zip(found.residuals, used, strict=True)), used)
+    floor = _floor(
+        tuple(np.std(e[run.fresh()], axis=0) for e, run in zip(found.residuals, used, strict=True)), used
+    )
     return Ladder((with_it, rung), floor, 0.0, True, "")
 
 
@@ -148,7 +168,9 @@ def _described(
     file = found.model.file
     known = {key: Knowledge(spread[key], source) for key in file.values() if key in spread}
     file = file.with_values({}, known)
-    return Rung(added, file, held_out_rmse(found, runs, columns, evidence), judged(file, judge, found.model.held))
+    return Rung(
+        added, file, held_out_rmse(found, runs, columns, evidence), judged(file, judge, found.model.held)
+    )
 
 
 def judged(file: MotorFile, recordings: Sequence[Recording], held: Sequence[bool] = ()) -> dict[str, float]:

@@ -34,7 +34,11 @@ def sentence(document: dict[str, Any]) -> str:
     name = document["effect"].replace("_", " ")
     rungs = document["ladder"]
     if not document["supported"]:
-        end = f"; written to {document['written']} all the same" if document["written"] else "; nothing was written"
+        end = (
+            f"; written to {document['written']} all the same"
+            if document["written"]
+            else "; nothing was written"
+        )
         return f"The data do not support {name}: {document['why_not']}{end}."
     before, after = rungs[-2]["held_out"], rungs[-1]["held_out"]
     channel = min(after, key=lambda c: after[c] / max(before[c], 1e-300))
@@ -51,9 +55,22 @@ def to_text(document: dict[str, Any]) -> str:
     heading = f"{'model':<34}" + "".join(f"{c:>14}" for c in channels)
     rows.append(heading + ("   on recordings not fitted: " + ", ".join(channels) if judged else ""))
     for rung in document["ladder"]:
-        label = ("+ " + rung["added"]) if rung["added"] and not rung["added"].startswith("without") else rung["added"]
-        line = f"{label or 'textbook':<34}" + "".join(f"{rung['held_out'].get(c, float('nan')):>14.4g}" for c in channels)
-        rows.append(line + ("   " + ", ".join(f"{rung['judged'].get(c, float('nan')):.4g}" for c in channels) if judged else ""))
+        label = (
+            ("+ " + rung["added"])
+            if rung["added"] and not rung["added"].startswith("without")
+            else rung["added"]
+        )
+        line = f"{label or 'textbook':<34}" + "".join(
+            f"{rung['held_out'].get(c, float('nan')):>14.4g}" for c in channels
+        )
+        rows.append(
+            line
+            + (
+                "   " + ", ".join(f"{rung['judged'].get(c, float('nan')):.4g}" for c in channels)
+                if judged
+                else ""
+            )
+        )
     rows.append(f"{'noise floor':<34}" + "".join(f"{document['noise_floor'][c]:>14.4g}" for c in channels))
     rows += ["", f"{'parameter':<34}{'value':>14}{'sd':>12}"]
     for key, entry in document["parameters"].items():
@@ -73,11 +90,21 @@ def to_html(document: dict[str, Any]) -> str:
         )
         for c in channels
     ]  # fmt: skip
-    rows = [[key, entry["value"], entry["sd"] or "", entry["unit"]] for key, entry in document["parameters"].items()]
+    rows = [
+        [key, entry["value"], entry["sd"] or "", entry["unit"]]
+        for key, entry in document["parameters"].items()
+    ]
     sections: list[Section] = [Section("The error falls", pictures)]
     if document["ladder"][-1]["judged"]:
-        judged = [[r["added"] or "textbook", *(r["judged"].get(c, float("nan")) for c in channels)] for r in document["ladder"]]
+        judged = [
+            [r["added"] or "textbook", *(r["judged"].get(c, float("nan")) for c in channels)]
+            for r in document["ladder"]
+        ]
         sections.append(Section("On recordings that were not fitted", [Table(["model", *channels], judged)]))
-    sections.append(Section("Parameters", [Table(["parameter", "value", "standard deviation", "unit"], rows)]))
-    command = shlex.join(["motorlens", "add", document["effect"], "--motor", document["motor"], "--fit", "..."])
+    sections.append(
+        Section("Parameters", [Table(["parameter", "value", "standard deviation", "unit"], rows)])
+    )
+    command = shlex.join(
+        ["motorlens", "add", document["effect"], "--motor", document["motor"], "--fit", "..."]
+    )
     return page(f"motorlens add {document['effect']}", sentence(document), [], sections, [command])

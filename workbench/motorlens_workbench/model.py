@@ -11,15 +11,17 @@ derivatives exist everywhere.
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from motorlens_physics.effect import Effect
+from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import linearise, sensitivities
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, cores, simulate
-from numpy.typing import NDArray
-
 from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
@@ -56,14 +58,38 @@ class Model:
         return replace(self, file=self.file.with_values(shared), own=tuple(own))
 
 
+def by_angle(model: Model, run: Run) -> tuple[Effect, ...]:
+    """The torques of the model that depend on the shaft angle alone, where that was measured: they act as part of the load.
+
+    An angle from a simulated speed would drift by whole teeth; the measured one does not.
+    """
+    if run.angle is None:
+        return ()
+    return tuple(
+        effect
+        for effect in model.file.motor.effects
+        if set(effect.states) == {"phi"} and type(effect).voltage is Effect.voltage
+    )
+
+
+def motor_of(model: Model, run: Run) -> Motor:
+    """The motor that is simulated: without the torques that the measured angle determines."""
+    away = by_angle(model, run)
+    motor = model.file.motor
+    return replace(motor, effects=tuple(effect for effect in motor.effects if effect not in away))
+
+
 def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
     own, shown = model.own[r], run.inputs
+    at = SimpleNamespace(phi=run.angle)
+    detents = sum((effect.torque(model.file.motor, at, None) for effect in by_angle(model, run)), start=0.0)
     inputs = replace(
         shown,
         voltage_V=_unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V),
         load_torque_Nm=_unread(model.file.sensors, "load_torque", shown.time_s, shown.load_torque_Nm)
-        + own.get("load", 0.0),
+        + own.get("load", 0.0)
+        - detents,
         ambient_C=shown.ambient_C + own.get("ambient", 0.0),
         held=model.held[r] if model.held else shown.held,
     )
@@ -74,6 +100,7 @@ def start_of(model: Model, r: int) -> dict[str, float]:
     """The initial states of a run; those of effects that are not named start where the winding does, or at their default."""
     named = {name[8:]: value for name, value in model.own[r].items() if name.startswith("initial.")}
     known = model.file.motor.states()
+    known.pop("phi", None)
     return {name: value for name, value in named.items() if name in known}
 
 
@@ -83,7 +110,7 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
     Raises:
         ModelError: the simulation cannot go on.
     """
-    trajectory = simulate(model.file.motor, inputs_of(model, run, r), start_of(model, r), smooth=True)
+    trajectory = simulate(motor_of(model, run), inputs_of(model, run, r), start_of(model, r), smooth=True)
     return trajectory, shown(model, run, r, _stack(run, trajectory))
 
 
@@ -121,19 +148,26 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
     Keys of sensors and of nuisances are differentiated directly, those of the motor by the forward pass.
     """
     inputs, start = inputs_of(model, run, r), start_of(model, r)
-    motor = model.file.motor
+    motor = motor_of(model, run)
+    turned = tuple(f"{effect.name()}." for effect in by_angle(model, run))
     local = [key.partition("@")[0] if key.endswith(f"@{r}") else key for key in keys]
     of_motor = tuple(
         name
         for key, name in zip(keys, local, strict=True)
-        if ("@" not in key and not _is_sensor(model, key)) or name.startswith("initial.")
+        if ("@" not in key and not _is_sensor(model, key) and not key.startswith(turned))
+        or name.startswith("initial.")
     )
     trajectory, derivative = sensitivities(motor, inputs, start, of_motor, (), smooth=True)
     y = _stack(run, trajectory)
     forced = [name for name in local if name == "load"]
     columns = np.zeros((len(y), len(run.channels), len(keys)))
-    inside: Array | None = None
-    if forced or any(_is_sensor(model, key) and _sensor(model, key).channel not in run.channels for key in keys):
+    outside = [
+        key
+        for key in keys
+        if key.startswith(turned)
+        or (_is_sensor(model, key) and _sensor(model, key).channel not in run.channels)
+    ]
+    if forced or outside:
         _, linearisation = linearise(motor, inputs, start, smooth=True)
     else:
         linearisation = None
@@ -144,7 +178,9 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
             columns[:, :, j] = _stack_states(run, derivative[name])
         elif name == "load":
             assert linearisation is not None
-            columns[:, :, j] = _stack_states(run, linearisation.respond(torque_Nm=-np.ones((len(y), 1))))[:, :, 0]
+            columns[:, :, j] = _stack_states(run, linearisation.respond(torque_Nm=-np.ones((len(y), 1))))[
+                :, :, 0
+            ]
         elif name == "ambient" and "temperature" in run.channels:
             columns[:, run.channels.index("temperature"), j] = 1.0
     columns = through_sensors(model, run, columns)
@@ -153,22 +189,20 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
         if name.startswith("skew."):
             k = run.channels.index(name[5:])
             columns[:, k, j] = -np.gradient(out[:, k], run.inputs.time_s)
-        elif _is_sensor(model, key):
-            sensor = _sensor(model, key)
-            step = 1e-3 * max(abs(model.file.values()[key]), sensor.typical(model.file.rated).__dict__[key.rpartition(".")[2]])
-            nudged = model.with_values({key: model.file.values()[key] + step})
-            if sensor.channel in run.channels:
+        elif key in outside or _is_sensor(model, key):
+            value = model.file.values()[key]
+            step = 1e-3 * max(abs(value), abs(model.file.meaning(key).typical(model.file.rated)))
+            nudged = model.with_values({key: value + step})
+            if key not in outside:
                 columns[:, :, j] = (shown(nudged, run, r, y) - out) / step
-            elif linearisation is not None:
-                other = inputs_of(nudged, run, r)
-                inside = _stack_states(
-                    run,
-                    linearisation.respond(
-                        voltage_V=(other.voltage_V - inputs.voltage_V)[:, None] / step,
-                        torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
-                    ),
-                )
-                columns[:, :, j : j + 1] = through_sensors(model, run, inside)
+                continue
+            assert linearisation is not None
+            other = inputs_of(nudged, run, r)
+            moved = linearisation.respond(
+                voltage_V=(other.voltage_V - inputs.voltage_V)[:, None] / step,
+                torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
+            )
+            columns[:, :, j : j + 1] = through_sensors(model, run, _stack_states(run, moved))
     return trajectory, out, columns
 
 

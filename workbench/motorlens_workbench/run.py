@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs
-from numpy.typing import NDArray
-
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.denoise import noise_sd, smoothed
 from motorlens_workbench.whitening import quantisation_step
@@ -94,7 +94,9 @@ class Run:
             return self
         voltage, load = (
             smoothed(y + sd * rng.standard_normal(len(y)), sd)
-            for y, sd in zip((self.inputs.voltage_V, self.inputs.load_torque_Nm), self.input_noise, strict=True)
+            for y, sd in zip(
+                (self.inputs.voltage_V, self.inputs.load_torque_Nm), self.input_noise, strict=True
+            )
         )
         return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
 
@@ -136,14 +138,19 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         valid &= there
         measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
-        noise = max(quantisation_step(y) / np.sqrt(12), 1e-4 * spread, 1e-9)
-        floor[k] = noise / np.sqrt(every)
+        # While a coarse converter shows the same number, its error stays the same too: the whole dwell counts as one sample.
+        dwell = rows / (1 + np.count_nonzero(np.diff(measured[:, k])))
+        coarse = quantisation_step(y) / np.sqrt(12) * np.sqrt(dwell if dwell > 3 else 1.0)
+        floor[k] = max(coarse, 1e-4 * spread, 1e-9) / np.sqrt(every)
         start[STATE_OF[channel]] = float(np.median(measured[:3, k]))
     if "temperature" in used:
-        start["theta"] = float(np.median(measured[: max(3, rows // 1000), used.index("temperature")]) - ambient[0])
+        start["theta"] = float(
+            np.median(measured[: max(3, rows // 1000), used.index("temperature")]) - ambient[0]
+        )
     load = recording.channels.get("load_torque", np.zeros(rows))
     inputs = Inputs(time, recording.channels["voltage"], load, ambient)
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
-    return Run(
-        recording.name, inputs, used, measured, valid, every, start, known, floor, recording.channels.get("angle")
-    )
+    angle = recording.channels.get("angle")
+    if angle is not None and not np.isfinite(angle).all():
+        angle = None
+    return Run(recording.name, inputs, used, measured, valid, every, start, known, floor, angle)

@@ -8,16 +8,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from motorlens_physics.effect import Effect
 from motorlens_physics.sensitivity import linearise
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
-from numpy.typing import NDArray
-
 from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing, variables
 from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 from motorlens_workbench.fitting import Fit, usable
-from motorlens_workbench.model import Model, inputs_of, sensitivities_of, shown, start_of, through_sensors, with_sensor
+from motorlens_workbench.model import (
+    Model,
+    inputs_of,
+    motor_of,
+    sensitivities_of,
+    shown,
+    start_of,
+    through_sensors,
+    with_sensor,
+)
 from motorlens_workbench.run import STATE_OF, Run
 from motorlens_workbench.whitening import Whitener
 
@@ -44,7 +53,9 @@ class Columns:
 
     def joined(self, names: Sequence[str], values: Array) -> "Columns":
         """With further columns."""
-        return replace(self, names=(*self.names, *names), values=np.concatenate([self.values, values], axis=2))
+        return replace(
+            self, names=(*self.names, *names), values=np.concatenate([self.values, values], axis=2)
+        )
 
 
 @dataclass(frozen=True)
@@ -60,7 +71,12 @@ class Line:
     @classmethod
     def of(cls, model: Model, run: Run, r: int) -> "Line":
         """Linearise the model along a run."""
-        trajectory, linearisation = linearise(model.file.motor, inputs_of(model, run, r), start_of(model, r), smooth=True)
+        trajectory, linearisation = linearise(
+            motor_of(model, run), inputs_of(model, run, r), start_of(model, r), smooth=True
+        )
+        if run.angle is not None:
+            # Forcings of the shaft angle follow the measured one, which does not drift.
+            trajectory = replace(trajectory, states={**trajectory.states, "phi": run.angle})
 
         def respond(voltage: Array, torque: Array, heat: Array) -> Array:
             states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat)
@@ -102,7 +118,9 @@ class Line:
         here = self.trajectory.inputs
         still = np.zeros((len(here.time_s), 1))
         return self.respond(
-            (there.voltage_V - here.voltage_V)[:, None], (here.load_torque_Nm - there.load_torque_Nm)[:, None], still
+            (there.voltage_V - here.voltage_V)[:, None],
+            (here.load_torque_Nm - there.load_torque_Nm)[:, None],
+            still,
         )[:, :, 0]
 
     def of_curve(self, curve: Curve, weight: Array | None = None) -> Array:
@@ -238,7 +256,11 @@ def unexplained(
 
 
 def all_columns(
-    found: Fit, runs: Sequence[Run], listed: Sequence[Candidate], free_curves: Sequence[Curve], with_decoys: bool = True
+    found: Fit,
+    runs: Sequence[Run],
+    listed: Sequence[Candidate],
+    free_curves: Sequence[Curve],
+    with_decoys: bool = True,
 ) -> tuple[list[Columns], list[Line]]:
     """The columns of every run in one pass."""
     scales = dict(found.prior.sd)
@@ -279,4 +301,14 @@ def held_out_rmse(
     return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
 
 
-__all__ = ["RESIDUAL", "Columns", "Line", "all_columns", "evidence_of", "held_out_rmse", "layout", "unexplained", "with_priors"]
+__all__ = [
+    "RESIDUAL",
+    "Columns",
+    "Line",
+    "all_columns",
+    "evidence_of",
+    "held_out_rmse",
+    "layout",
+    "unexplained",
+    "with_priors",
+]

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from motorlens_physics.effect import Effect
-from motorlens_physics.sensor_model import SensorModel
 from numpy.typing import NDArray
 
+from motorlens_physics.effect import Effect
+from motorlens_physics.sensor_model import SensorModel
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate
 from motorlens_workbench.evidence import Evidence, Score, score, similarity
@@ -97,7 +97,9 @@ def _sized(candidate: Candidate, v: int, tested: Score | None, typical: float) -
     switch = candidate.variants[v][0].switch()
     assert switch is not None and switch.null is not None
     if len(tested.coefficient) > 1:
-        return Test(candidate, v, tested, abs(typical) * float(np.hypot(*tested.coefficient[:2])), True, typical)
+        return Test(
+            candidate, v, tested, abs(typical) * float(np.hypot(*tested.coefficient[:2])), True, typical
+        )
     size = float(tested.coefficient[0]) * typical
     low, high = switch.bounds
     # A hair beyond a bound is noise, not a wrong sign.
@@ -150,7 +152,9 @@ def with_candidate(found: Fit, evidence: Evidence, test: Test) -> tuple[Model, P
         part = replace(parts[0], **{switch.name: float(np.clip(switch.null + size, low, high))})  # type: ignore[type-var]
     values = found.model.values()
     moved = {
-        key: float(np.clip(values[key] + move * found.prior.sd[key], *_inner(found.prior.bounds[key], values[key])))
+        key: float(
+            np.clip(values[key] + move * found.prior.sd[key], *_inner(found.prior.bounds[key], values[key]))
+        )
         for key, move in zip(keys, solution[: len(keys)], strict=True)
     }
     add = with_sensor if isinstance(part, SensorModel) else with_effect

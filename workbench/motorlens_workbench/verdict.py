@@ -12,7 +12,7 @@ import numpy as np
 from motorlens_workbench.candidates import EQUATIONS, UNITS
 from motorlens_workbench.diagnosis import Bend, Finding, Look, Step
 from motorlens_workbench.screen import held_out_rmse
-from motorlens_workbench.selection import REAL, WORTH, Test
+from motorlens_workbench.selection import WORTH, Test
 
 # A rival whose loss (2 log likelihood over inflation) is below this cannot be told apart.
 TOLD_APART = 14.0
@@ -23,8 +23,6 @@ SAME = 0.9995
 GROUP = 6
 # A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
 BETTER = 0.15
-# Standard deviations beyond chance at which a free curve counts.
-BENT = 8.0
 
 
 @dataclass(frozen=True)
@@ -96,13 +94,8 @@ def structure(found: Finding) -> Bend | None:
 
 
 def strongest(now: Look) -> Bend | None:
-    """The free curve that explains most, if any is beyond chance."""
-    real = [
-        bend
-        for bend in now.bends
-        if bend.deviations > BENT and bend.gain > 2 * max(REAL, now.decoy) and bend.best > max(REAL, 3 * now.decoy)
-    ]
-    return max(real, key=lambda bend: bend.gain, default=None)
+    """The free curve that explains most, of those beyond chance."""
+    return max(now.bends, key=lambda bend: bend.gain, default=None)
 
 
 def probabilities(found: Finding, unknown: bool) -> dict[str, float]:
@@ -133,20 +126,30 @@ def limits(found: Finding) -> list[str]:
     channels = {channel for run in found.runs for channel in run.channels}
     known = {quantity for run in found.runs for quantity in run.known}
     if "temperature" not in channels:
-        said.append("Temperature was not measured: the thermal equation is not tested, and the winding's resistance drifts freely.")
+        said.append(
+            "Temperature was not measured: the thermal equation is not tested, and the winding's resistance drifts freely."
+        )
     if "current" not in channels:
         said.append("Current was not measured: a voltage drop and a friction torque can look alike.")
     if "speed" not in channels:
         said.append("Speed was not measured: mechanical effects are seen only through the current.")
     if "load_torque" not in known:
-        said.append("The load torque was not measured: it is taken as constant, and a load that brakes like friction passes for friction.")
+        said.append(
+            "The load torque was not measured: it is taken as constant, and a load that brakes like friction passes for friction."
+        )
     if "ambient" not in known and "temperature" in channels:
-        said.append("The ambient temperature was not measured: an offset of the temperature sensor cannot be told from it.")
+        said.append(
+            "The ambient temperature was not measured: an offset of the temperature sensor cannot be told from it."
+        )
     blind = [name for name, test in found.last.tests.items() if not _detectable(found.last, test)]
     if blind:
-        said.append("Not even three times the typical size would have been seen of: " + ", ".join(sorted(blind)) + ".")
+        said.append(
+            "Not even three times the typical size would have been seen of: " + ", ".join(sorted(blind)) + "."
+        )
     for name in found.failed:
-        said.append(f"The screen points at {name}, but the model fitted with it does not follow: it stands for something else.")
+        said.append(
+            f"The screen points at {name}, but the model fitted with it does not follow: it stands for something else."
+        )
     return said
 
 

@@ -83,7 +83,9 @@ def fit_whitener(residual: Array, valid: NDArray[np.bool_], floor: Array, used: 
         used: parameters already spent on these residuals, for an unbiased sigma.
     """
     rows, channels = residual.shape
-    choices = [choice for choice in CHOICES if (choice[0] + 4 * choice[1] + 1) * channels * 20 <= rows] or [(0, False)]
+    choices = [choice for choice in CHOICES if (choice[0] + 4 * choice[1] + 1) * channels * 20 <= rows] or [
+        (0, False)
+    ]
     longest = max(order for order, _ in choices)
     kept = valid.copy()
     for lag in range(1, longest + 1):

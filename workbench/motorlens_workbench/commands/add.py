@@ -18,10 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("effect", metavar="EFFECT", help="name of an effect or sensor fault of the catalogue")
     parser.add_argument("--motor", required=True, metavar="MOTOR.toml", help="motor file")
     parser.add_argument("--fit", nargs="+", required=True, metavar="REC", help="recordings to fit to")
-    parser.add_argument("--judge", nargs="+", default=[], metavar="REC", help="recordings to judge by, not fitted to")
+    parser.add_argument(
+        "--judge", nargs="+", default=[], metavar="REC", help="recordings to judge by, not fitted to"
+    )
     parser.add_argument("-o", "--output", required=True, metavar="NEW.toml", help="the new motor file")
     parser.add_argument("--remove", action="store_true", help="take the effect out instead")
-    parser.add_argument("--force", action="store_true", help="write the file even if the data do not support it")
+    parser.add_argument(
+        "--force", action="store_true", help="write the file even if the data do not support it"
+    )
     parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
     )
@@ -34,14 +38,15 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.effect import load_effects
     from motorlens_physics.motor_file import read_motor_file, write_motor_file
     from motorlens_physics.recording import read_recording
+    from motorlens_runtime.errors import DataError
     from motorlens_workbench import ladder as ladders
     from motorlens_workbench.ladder_report import to_html, to_json, to_text
     from motorlens_workbench.telling import teller
 
-    from motorlens_runtime.errors import DataError
-
     if Path(arguments.output).resolve() == Path(arguments.motor).resolve():
-        raise DataError(f"{arguments.output} is the motor file itself, which is kept; give another name with -o")
+        raise DataError(
+            f"{arguments.output} is the motor file itself, which is kept; give another name with -o"
+        )
     own = load_effects(arguments.effects_from) if arguments.effects_from else {}
     file = read_motor_file(arguments.motor, own.values())
     fitted = [read_recording(path, arguments.column) for path in arguments.fit]

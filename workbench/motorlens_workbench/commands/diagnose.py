@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     import numpy as np
+
     from motorlens_physics.effect import load_effects
     from motorlens_physics.motor_file import read_motor_file
     from motorlens_physics.recording import read_recording
@@ -58,5 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         words = ["motorlens", "diagnose", *arguments.recordings, "--motor", arguments.motor]
         words += [word for column in arguments.column for word in ("--column", column)]
-        Path(arguments.html).write_text(to_html(found, verdict, document, shlex.join(words)), encoding="utf-8")
+        Path(arguments.html).write_text(
+            to_html(found, verdict, document, shlex.join(words)), encoding="utf-8"
+        )
     return 0
