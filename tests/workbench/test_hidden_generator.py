@@ -1,11 +1,12 @@
 """The generator of recordings with hidden effects: its integrator against scipy's, its energy, its statistics."""
 
 import ast
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.hidden import draw, generate, information, motors, plant, world
+from helpers.hidden import draw, generate, generate_again, information, motors, plant, world
 from helpers.hidden import effects as hidden_effects
 from scipy.integrate import solve_ivp
 
@@ -189,6 +190,40 @@ def test_detectable_size_grows_with_the_noise() -> None:
         judged = information.Information(case).judge([effect], [effect])[0]
         sizes.append(1e-5 / np.sqrt(judged.energy))
     assert 1.5 < sizes[1] / sizes[0] < 3.5
+
+
+KEY = Path(__file__).resolve().parents[2] / "benchmarks" / "hidden_effects" / "subset-key.jsonl"
+
+
+@pytest.mark.parametrize(
+    "name", ["subset-0024", "subset-0030", "subset-0031", "subset-0037", "subset-0038", "subset-0047"]
+)
+def test_the_recordings_hold_what_the_key_says(name: str, tmp_path: Path) -> None:
+    """Generalised least squares on the files, with the generator's columns: the multiple of the hidden size is one."""
+    truth = next(
+        t for t in map(json.loads, KEY.read_text(encoding="utf-8").splitlines()) if t["case"]["id"] == name
+    )
+    made = generate_again(truth, tmp_path)
+    hidden = tuple((told, factor) for told, factor in truth["case"]["hidden"])
+    case = world.Case(**(truth["case"] | {"hidden": hidden}))
+    known = information.Information(case)
+    (told,) = truth["hidden"]
+    null = 1.0 if told["name"].endswith("_gain") else 0.0  # the size of a gain is its distance from one
+    sized = world.Sized(told["name"], told["size"] - null, told["shape"])
+    left = []
+    for half, record in zip(known.records, world.records_of(case), strict=True):
+        path = next(p for p in made.recordings if p.stem == ("slow" if record.slow else "fast"))
+        with path.open(encoding="utf-8") as file:
+            names = file.readline().strip().split(",")
+            columns = dict(zip(names, np.loadtxt(file, delimiter=",").T, strict=True))
+        left.append(half.left_by_textbook({c: columns[h] for c, h in world.HEADINGS.items() if h in columns}))
+    y = np.concatenate(left)
+    x = np.column_stack([known.base, known.column(sized)])
+    information_matrix = x.T @ x + np.diag(np.r_[known.prior(), 0.0])
+    multiple = float(np.linalg.solve(information_matrix, x.T @ y)[-1])
+    sd = float(np.sqrt(np.linalg.inv(information_matrix)[-1, -1]))
+    assert abs(sd * np.sqrt(told["energy"]) - 1) < 0.3
+    assert abs(multiple - 1) < 4 * sd + 0.1
 
 
 def test_the_same_case_gives_the_same_files_and_another_seed_others(tmp_path: Path) -> None:

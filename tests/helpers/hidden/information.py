@@ -76,23 +76,21 @@ class Information:
         self.rivals: dict[str, list[Array]] = {}
         faults = hidden_effects.sensor_faults(self.motor)
         for name in hidden_effects.CATALOGUE:
-            self.rivals[name] = [
-                self._columns(Sized(name, size, form)) for size, form in self._variants(name)
-            ]
+            self.rivals[name] = [self.column(Sized(name, size, form)) for size, form in self._variants(name)]
         for name, fault in faults.items():
             if fault.equation in CHANNEL_SETS[case.channels]:
-                self.rivals[name] = [self._columns(Sized(name, 0.1 * fault.typical))]
+                self.rivals[name] = [self.column(Sized(name, 0.1 * fault.typical))]
 
     def judge(self, hidden: list[Sized], among: list[Sized]) -> list[Judgement]:
         """Judge each of `hidden` beside all of `among` (usually the same list), whose columns are free as well."""
         names = list(self.rivals)
         stack = [column for name in names for column in self.rivals[name]]
         bounds = np.cumsum([0] + [len(self.rivals[name]) for name in names])
-        truths = [self._columns(effect) for effect in among]
+        truths = [self.column(effect) for effect in among]
         everything = np.column_stack([self.base, *stack, *truths])
         gram = everything.T @ everything
         m = self.base.shape[1]
-        prior = self._prior()
+        prior = self.prior()
         found = []
         for effect in hidden:
             own = m + len(stack) + among.index(effect)
@@ -120,7 +118,7 @@ class Information:
             found.append(Judgement(float(least), float(mine), rivals))
         return found
 
-    def _columns(self, effect: Sized) -> Array:
+    def column(self, effect: Sized) -> Array:
         """The effect's whole contribution at its size, all records and channels stacked and whitened."""
         return np.concatenate([half.column(effect) for half in self.records])
 
@@ -133,7 +131,7 @@ class Information:
             columns.append([half.start() if half is own else np.zeros(half.rows) for half in self.records])
         return columns
 
-    def _prior(self) -> Array:
+    def prior(self) -> Array:
         """Precisions: of the relative textbook parameters, and of the initial temperatures (5 K, if not measured)."""
         tolerances = [tolerance / np.sqrt(3) for _, tolerance in TEXTBOOK.values()]
         return 1 / np.r_[tolerances, [5.0] * len(self.records)] ** 2
@@ -165,6 +163,7 @@ class _Half:
         n = len(record.drive.load)
         states, truth = run_truth(case, record, textbook, [])
         whole = replace(record, drive=replace(record.drive, voltage=truth[:, plant.VOLTAGE], reference=None))
+        self.whole = whole
         self.noise = self._residuals(whole, states, truth)
         self.weight = 1.0
         self.stride = max(1, round(0.5 / record.drive.dt)) if record.slow else 1
@@ -185,13 +184,26 @@ class _Half:
 
     def _residuals(self, record: Record, states: Array, truth: Array) -> dict[str, Array]:
         """What the true model leaves of a faultless recording when it is driven by the measured inputs."""
-        case, drive = self.case, record.drive
-        _, shown = measured(case, record, true_channels(case, record, states, truth), [])
+        channels = true_channels(self.case, record, states, truth)
+        return self._left(record, measured(self.case, record, channels, [])[1])
+
+    def _left(self, record: Record, shown: dict[str, Array]) -> dict[str, Array]:
+        """What the specimen's textbook model, driven by measured inputs, leaves of measured outputs."""
+        drive = record.drive
         seen = replace(drive, voltage=shown["voltage"], load=shown.get("load_torque", drive.load))
-        p, inputs = build(case, replace(record, drive=seen), self.textbook, [])
-        free = plant.simulate(drive.dt, inputs, record.start, p, substeps(case, record))
-        ideal = true_channels(case, record, free, inputs)
+        p, inputs = build(self.case, replace(record, drive=seen), self.textbook, [])
+        free = plant.simulate(drive.dt, inputs, record.start, p, substeps(self.case, record))
+        ideal = true_channels(self.case, record, free, inputs)
         return {name: shown[name] - ideal[name] for name in self.channels}
+
+    def left_by_textbook(self, shown: dict[str, Array]) -> Array:
+        """The same of a recording, whitened and cut as the columns are."""
+        left = self._left(self.whole, shown)
+        parts = []
+        for name in self.channels:
+            coefficients, sd = self.filters[name]
+            parts.append(lfilter(coefficients, [1.0], left[name][: len(self.fine)]) / sd * self.weight)
+        return np.concatenate(parts)
 
     def _outputs(self, hidden: list[Sized], textbook: dict[str, float], start: Array) -> dict[str, Array]:
         p, inputs = build(self.case, self._driven(hidden), textbook, hidden)
