@@ -144,10 +144,9 @@ def _from_rest(
 def test_an_inrush_from_rest_shows_the_temperature_in_a_fifth_of_a_second():
     start = _from_rest(240.0, 6.455, 0.5, 5e-4, Noise(load_walk=0.02)).sd("theta")
     assert 0.035 < start[400] < 0.08
-    assert start[20] == pytest.approx(0.24, rel=0.6)
     biased = _from_rest(240.0, 6.455, 0.5, 5e-4, Noise(load_walk=0.02, voltage_bias_V=1.0)).sd("theta")
-    assert biased[400] == pytest.approx(0.34, rel=0.6)
-    assert biased[1000] == pytest.approx(0.14, rel=0.3)
+    assert biased[400] == pytest.approx(0.34, rel=0.4)
+    assert biased[1000] == pytest.approx(0.14, rel=0.4)
 
 
 def test_a_locked_rotor_is_the_best_thermometer_and_a_dead_one_none():

@@ -171,6 +171,9 @@ def golden(sensor: Sensor) -> dict[str, Any]:
     share = 0.5 + 0.4 * np.sin(0.9 * n)
     voltage = np.round(fence.voltage_V[0] + (fence.voltage_V[1] - fence.voltage_V[0]) * share, 3)
     current = np.round(fence.current_A[0] + (fence.current_A[1] - fence.current_A[0]) * (1 - share) * 0.6, 3)
+    if sensor.bank.observer:
+        # An observer of something no motor does would amplify the last bit of every number: this motor is locked.
+        voltage, current = _locked(sensor, time, np.round(0.1 * fence.voltage_V[1] * share, 3))
     ambient = np.full(len(n), 20.0) if sensor.bank.ambient else None
     x = feature_rows(sensor.bank, time, voltage, current, ambient_C=ambient, first_dt_s=period)
     estimate, sigma = sensor.evaluate(x)
@@ -183,6 +186,18 @@ def golden(sensor: Sensor) -> dict[str, Any]:
         "sigma": [[_short(v, 8) for v in row] for row in sigma],
         "tolerance": 1e-4,
     }
+
+
+def _locked(sensor: Sensor, time: Array, voltage: Array) -> tuple[Array, Array]:
+    """Voltage and current of a locked rotor: L di/dt = v - R i, the voltage linear between samples."""
+    R, L = sensor.bank.resistance_ohm, sensor.bank.inductance_H
+    current = voltage / R
+    for k in range(1, len(time)):
+        dt = time[k] - time[k - 1]
+        lag = L / R * (voltage[k] - voltage[k - 1]) / R / dt
+        settled = voltage[k] / R - lag
+        current[k] = settled + (current[k - 1] - voltage[k - 1] / R + lag) * np.exp(-R * dt / L) if L > 0 else settled
+    return voltage, np.round(current, 4)
 
 
 def _worth(sensor: Sensor, calibration: Sequence[Cycle]) -> Sensor:

@@ -138,7 +138,7 @@ class _Design:
         R = m.resistance(self.start[self.at["theta"]])
         turns = h * (mean * (m.ke / m.J) + drag)
         unsteady = (v - v_old) - R * (i - i_old) - m.ke * turns
-        bend = _bend(r, h, m.L / R) * unsteady * (1 / R) * alive
+        bend = (h <= 3 * self.period).select(_bend(r, h, m.L / R) * unsteady * (1 / R) * alive, 0.0)
         return r.program([
             alive + first, v, i, drag, i_start + first * i, time + h, sum_v + h * 0.5 * (v + v_old), sum_i + h * mean,
             sum_ii + h * mean_square, sum_b + h * bend, sum_hh + h * h, sum_c + h * h * change,
@@ -151,23 +151,29 @@ class _Design:
         drift, trend, restless = r.inputs(MEMORY)
         x, P = self._unpack(r)
         T = window["time"]
-        V, plain = window["sum_voltage"] / T, window["sum_current"] / T
+        # Over a gap nobody knows what was done to the motor; it is taken to have gone on as it is found, a resting one to
+        # have rested, and slow states follow for the whole time.
+        gap = r.apply("le", GAP * self.period, T)
+        believed = 1.0 - gap
+        V = gap.select(window["voltage"], window["sum_voltage"] / T)
+        plain = gap.select(window["current"], window["sum_current"] / T)
         mean = plain + window["sum_bends"] / T
+        square = gap.select(mean * mean, window["sum_square"] / T)
         steps = window["sum_steps"]
 
-        rates, A = self._linearised(r, x, mean, V, ambient)
-        # The copper heats by the mean square of the current, not by the square of its mean.
         theta, w, load = self.at["theta"], self.at["w"], self.at["load"]
         R = self._resistance(r, x)
-        rates[theta] = rates[theta] + R * (window["sum_square"] / T - mean * mean) / self.motor.H
-        # Over a gap nobody knows what was done to the motor: no step longer than this is believed.
-        gap = r.apply("le", GAP * self.period, T)
-        ahead_s = T.min(GAP * self.period)
+        limit = 1.5 * self.rated.speed_rad_s
+        x[w] = gap.select(((V - R * mean) * (1 / self.motor.ke)).max(-limit).min(limit), x[w])
+        rates, A = self._linearised(r, x, mean, V, ambient)
+        # The copper heats by the mean square of the current, not by the square of its mean.
+        rates[theta] = rates[theta] + R * (square - mean * mean) / self.motor.H
+        short = T.min(GAP * self.period)
         F: list[list[Any]] = [[0.0] * n for _ in range(n)]
         ahead = list(x)
         for j in range(n):
-            own, reach = _exponential(A[j][j], ahead_s)
-            F[j] = [A[j][k] * reach if k != j else own for k in range(n)]
+            own, reach = _exponential(A[j][j], short if j in (w, load) else T)
+            F[j] = [A[j][k] * reach * believed if k != j else own for k in range(n)]
             ahead[j] = x[j] + reach * rates[j]
         P = _congruence(F, P)
         rated, motor, settings = self.rated, self.motor, self.settings
@@ -182,7 +188,7 @@ class _Design:
             + (1e-5 * rated.speed_rad_s) ** 2
         )
         P[theta][theta] = P[theta][theta] + T.min(3600.0) * settings.thermal_walk**2 + unseen
-        P[load][load] = P[load][load] + ahead_s * (settings.load_walk * rated.torque_Nm) ** 2
+        P[load][load] = P[load][load] + short * (settings.load_walk * rated.torque_Nm) ** 2
 
         # At rest, or nearly, the brake takes what it must: whatever was known of the load no longer holds.
         near = x[w].abs() <= self.settings.rest * rated.speed_rad_s
@@ -226,7 +232,6 @@ class _Design:
         PH = [_dot(P[j], H) for j in range(n)]
         S = _dot(H, PH) + noise
         # The mean over a gap says nothing about its end.
-        believed = 1.0 - gap
         K = [PH[j] / S * believed for j in range(n)]
         # The current's noise is in the innovation and in the slope by which it is weighed; their product has a mean, by
         # which a winding would seem to cool without end, unless it is made good (errors in variables; Söderström 2007,
@@ -243,10 +248,12 @@ class _Design:
         for j in range(n):
             P[j][j] = P[j][j].max(1e-14 * self.sd[j] ** 2) if self.sd[j] else P[j][j]
         new[theta] = new[theta].max(-self.rated.rise_K).min(4 * self.rated.rise_K)
-        new[w] = new[w].max(-4 * self.rated.speed_rad_s).min(4 * self.rated.speed_rad_s)
+        after = (window["voltage"] - R * window["current"]) * (1 / motor.ke)
+        fastest = 4 * rated.speed_rad_s
+        new[w] = gap.select(after, new[w]).max(-fastest).min(fastest)
         restless = restless + (1 - math.exp(-1 / 100)) * (z * z - 1.0 - restless)
         # What brakes the rotor, as an acceleration: the next window's samples need it.
-        drag = rates[w] - mean * (motor.ke / motor.J)
+        drag = (rates[w] - mean * (motor.ke / motor.J)) * believed
         fresh = [
             window["alive"],
             window["voltage"],

@@ -286,6 +286,9 @@ def _record_node(e: Any, visit: Callable[[Any], Any], recorder: Recorder, sp: An
                 "select", _condition(branch.cond, visit, recorder, sp), visit(branch.expr), result
             )
         return result
+    if e.func == sp.Heaviside:
+        # The derivative of max and min; what it is at the corner decides nothing.
+        return recorder.apply("le", 0.0, visit(e.args[0]))
     names = {
         sp.exp: "exp",
         sp.tanh: "tanh",

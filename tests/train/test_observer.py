@@ -1,0 +1,252 @@
+"""The observer: its programs run alike everywhere, its physics is the motor's, and it is as sure as it should be."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import onnxruntime
+import pytest
+import sympy as sp
+from helpers.duty import MELLAH, NOISE, measured_duty
+from helpers.sensors import small_sensor
+
+from motorlens_physics.effect import catalogue
+from motorlens_physics.motor_file import with_overrides
+from motorlens_physics.scenario import chosen_scenario, measure, perform
+from motorlens_physics.simulation import Inputs, simulate
+from motorlens_runtime.estimator import Estimator
+from motorlens_runtime.gate import Samples
+from motorlens_runtime.sensor import load_sensor
+from motorlens_train.baselines.method import steps_of, truth
+from motorlens_train.bound import Noise, Prior, bound_of_recording
+from motorlens_train.build import golden
+from motorlens_train.evaluation import counted
+from motorlens_train.export import write_sensor
+from motorlens_train.features import feature_rows
+from motorlens_train.observer import ObserverSettings, observer
+from motorlens_train.observer_file import Observer
+from motorlens_train.observer_model import equations, linearised
+from motorlens_train.observer_program import OPERATIONS, Program, Recorder, record
+
+SETTINGS = ObserverSettings(voltage_sd=NOISE["voltage"], current_sd=NOISE["current"])
+
+
+@pytest.fixture(scope="module")
+def watching():
+    return observer(MELLAH, SETTINGS)
+
+
+def follow(watching, recording):
+    c = recording.channels
+    values, _ = watching.run(steps_of(recording.time_s), c["voltage"], c["current"], c["ambient"])
+    return dict(zip(watching.outputs, values.T, strict=True))
+
+
+# ---- straight-line programs
+
+
+def test_a_recorded_expression_is_the_expression():
+    x, y = sp.symbols("x y", real=True)
+    e = (
+        sp.tanh(x / 3) * sp.sqrt(x**2 + y**2)
+        - sp.exp(-(y**2)) / x
+        + sp.Abs(y) ** 3
+        + sp.Max(x, y) * sp.cos(x)
+        - 2.5
+    )
+    r = Recorder()
+    values = dict(zip((x, y), r.inputs(["x", "y"]), strict=True))
+    program = r.program([record(e, values, r), record(sp.diff(e, x), values, r)])
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(0.2, 2.0, (2, 50))
+    for k, expression in enumerate((e, sp.diff(e, x))):
+        expected = [float(expression.subs({x: p, y: q})) for p, q in zip(a, b, strict=True)]
+        np.testing.assert_allclose(program(a, b)[k], expected, rtol=1e-12)
+
+
+def test_equal_operations_are_recorded_once_and_constants_are_folded():
+    r = Recorder()
+    x = r.input("x")
+    program = r.program([(x + 1.0) * (1.0 + x), x * 0.0 + 2.0 * 3.0, x * 1.0 - 0.0])
+    assert [name for name, _ in program.steps] == ["add", "mul"]
+    assert program(2.0) == [9.0, 6.0, 2.0]
+
+
+def test_compiled_and_interpreted_programs_agree_on_every_operation():
+    r = Recorder()
+    a, b, c = r.inputs(["a", "b", "c"])
+    outputs = []
+    for name, (count, _) in OPERATIONS.items():
+        outputs.append(r.apply(name, *(a, b, c)[:count]))
+    program = r.program(outputs)
+    compiled, out = program.compiled(), np.empty(len(outputs))
+    for sample in ((0.3, 1.2, -2.0), (1.2, 0.3, 0.0), (2.0, 2.0, 5.0)):
+        compiled(np.array(sample), out)
+        np.testing.assert_allclose(out, [float(v) for v in program(*sample)], rtol=1e-14)
+
+
+def test_a_document_says_all_of_a_program_and_a_damaged_one_is_refused(watching):
+    text = json.dumps(watching.document())
+    again = Observer.from_document(json.loads(text))
+    assert again == watching
+    damaged = json.loads(text)["read"]
+    damaged["steps"][0][1] = 10_000
+    with pytest.raises(ValueError, match="step 0"):
+        Program.from_document(damaged)
+
+
+# ---- the motor's equations
+
+
+def test_rates_and_jacobian_are_those_of_the_motor_with_every_effect():
+    for name, effect in catalogue().items():
+        motor = replace(MELLAH.motor, effects=(effect.typical(MELLAH.rated),))
+        names, program = linearised(motor)
+        if "phi" in effect.states:
+            assert names == ("i", "w", "theta", "load")
+            continue
+        at = {"i": 6.0, "w": 180.0, "theta": 45.0, "load": 5.0}
+        x = np.array([at.get(state, 3.0) for state in names])
+        found = np.array([float(v) for v in program(*x, 210.0, 25.0)])
+        n = len(names)
+        jacobian = found[n:].reshape(n, n)
+        for k in range(n):
+            step = 1e-5 * max(abs(x[k]), 1.0)
+            ends = [program(*(x + sign * step * (np.arange(n) == k)), 210.0, 25.0)[:n] for sign in (1, -1)]
+            slope = (np.array(ends[0], dtype=float) - np.array(ends[1], dtype=float)) / (2 * step)
+            np.testing.assert_allclose(jacobian[:, k], slope, rtol=2e-4, atol=1e-6, err_msg=name)
+        if name == "brush_voltage_drop":
+            # 210 - R i - ke w - V_b tanh(i / i_s), over L, by hand.
+            m = MELLAH.motor
+            e = motor.effects[0]
+            by_hand = (210 - m.R_a0 * (1 + m.alpha * 45) * 6 - m.ke * 180 - e.V_b * np.tanh(6 / e.i_s)) / m.L
+            assert found[0] == pytest.approx(by_hand, rel=1e-9)
+
+
+def test_free_parameters_stay_symbols():
+    system = equations(MELLAH.motor, ["R_a0", "ke"])
+    assert set(system.free) == {"R_a0", "ke"}
+    assert system.voltage.has(system.free["R_a0"]) and system.voltage.has(system.free["ke"])
+
+
+# ---- what it sees
+
+
+@pytest.mark.parametrize("rise", [0.0, 20.0, 50.0, 80.0])
+def test_inrush_shows_an_unknown_temperature_within_a_second(watching, rise):
+    rng = np.random.default_rng(int(rise))
+    time = np.arange(2001) * 1e-3
+    voltage = np.where(time < 0.2, 0.0, 120.0)
+    inputs = Inputs(time, voltage, np.full(2001, 4.0), np.full(2001, 20.0), held=True)
+    run = simulate(MELLAH.motor, inputs, {"theta": rise})
+    values, _ = watching.run(
+        np.full(2001, 1e-3), voltage + 0.5 * rng.standard_normal(2001), run.current_A + 0.05 * rng.standard_normal(2001),
+        np.full(2001, 20.0),
+    )  # fmt: skip
+    assert values[1200, watching.outputs.index("temperature")] == pytest.approx(run.rise_K[1200], abs=3.0)
+
+
+def test_it_comes_near_the_bound_on_duty_cycles(watching):
+    ratios, coverage = [], []
+    for seed in range(3, 9):
+        recording = measured_duty(seed, 200.0, 1000.0)
+        seen, actual, rows = follow(watching, recording), truth(recording, MELLAH), counted(recording, MELLAH)
+        prior = Prior({"i": 0.05, "w": 55.0, "theta": 36.0, "load": 6.455})
+        limit = bound_of_recording(MELLAH.motor, recording, Noise(0.5, 0.05, 0.02), prior).outputs
+        pair = np.column_stack([seen["speed"], seen["temperature"]])[rows] - actual[rows, :2]
+        ratios.append(np.sqrt(np.mean(pair**2, 0) / np.mean(limit[rows, :2] ** 2, 0)))
+        coverage.append(np.mean(np.abs(pair[:, 0]) < 1.96 * np.exp(0.5 * seen["log_speed"][rows])))
+    # A genie tells the bound when the load jumps; the observer must find out.
+    assert 0.5 < np.median(ratios, axis=0)[0] < 4.5
+    assert 0.1 < np.median(ratios, axis=0)[1] < 4.5
+    assert 0.9 < np.mean(coverage) <= 1.0
+
+
+def test_nothing_is_learned_at_rest_without_current(watching):
+    n = 20_000
+    rng = np.random.default_rng(0)
+    values, _ = watching.run(
+        np.full(n, 0.01), 0.5 * rng.standard_normal(n), 0.05 * rng.standard_normal(n), np.full(n, 20.0)
+    )
+    seen = dict(zip(watching.outputs, values.T, strict=True))
+    # From white noise alone: it stays where the cooling law puts its first guess, and as unsure as it began.
+    cooling = np.exp(-200.0 * MELLAH.motor.k0 / MELLAH.motor.H)
+    assert seen["temperature"][-1] == pytest.approx(24.0 * cooling, rel=0.05)
+    assert np.exp(0.5 * seen["log_temperature"][-1]) == pytest.approx(36.0 * cooling, rel=0.05)
+    assert np.abs(seen["speed"][1000:]).max() < 3.0
+
+
+def test_deviation_widens_without_excitation_and_narrows_at_a_step():
+    doubting = observer(MELLAH, replace(SETTINGS, thermal_walk=0.1))
+    n, at = 60_000, 40_000
+    rng = np.random.default_rng(1)
+    time = np.arange(n) * 0.01
+    voltage = np.where(time < 1.0, 0.0, np.where(np.arange(n) < at, 200.0, 120.0))
+    run = simulate(MELLAH.motor, Inputs(time, voltage, np.full(n, 5.0), np.full(n, 20.0), held=True))
+    values, _ = doubting.run(
+        np.full(n, 0.01),
+        voltage + 0.5 * rng.standard_normal(n),
+        run.current_A + 0.05 * rng.standard_normal(n),
+        np.full(n, 20.0),
+    )
+    sd = np.exp(0.5 * dict(zip(doubting.outputs, values.T, strict=True))["log_temperature"])
+    assert sd[300] < 3.0
+    assert sd[at - 1] > 1.5 * sd[1000]
+    assert sd[at + 300] < 0.7 * sd[at - 1]
+
+
+def test_an_effect_in_the_motor_file_reaches_the_observer():
+    # 1.5 V at the brushes look like 1.6 rad/s to an observer that does not know of them.
+    true = with_overrides(MELLAH, {"brush_voltage_drop.V_b": 1.5})
+    rng = np.random.default_rng(2)
+    recording = measure(perform(true, chosen_scenario("duty", 150.0, 500.0), rng), (), NOISE, rng)
+    errors = {}
+    for name, file in (("knows", true), ("ignores", MELLAH)):
+        seen = follow(observer(file, SETTINGS), recording)
+        rows = counted(recording, MELLAH)
+        errors[name] = np.sqrt(np.mean((seen["speed"] - recording.channels["speed"])[rows] ** 2))
+    assert errors["knows"] < 0.5 * errors["ignores"]
+
+
+def test_a_gap_is_forgotten_within_a_second(watching):
+    recording = measured_duty(5, 120.0, 500.0)
+    kept = (recording.time_s < 40) | (recording.time_s > 70)
+    cut = replace(
+        recording, time_s=recording.time_s[kept], channels={q: y[kept] for q, y in recording.channels.items()}
+    )
+    seen = follow(watching, cut)
+    assert all(np.isfinite(y).all() for y in seen.values())
+    after = cut.time_s > 72
+    error = (seen["speed"] - cut.channels["speed"])[after]
+    assert np.sqrt(np.mean(error**2)) < 2.0
+
+
+# ---- one sensor, everywhere
+
+
+def test_file_step_graph_and_runtime_agree_with_training(tmp_path):
+    built = small_sensor(True)
+    write_sensor(built.sensor, built.card, golden(built.sensor), tmp_path / "small.onnx")
+    recording = measured_duty(3, 20.0, 200.0)
+    time, v, i = recording.time_s, recording.channels["voltage"], recording.channels["current"]
+    estimate, sigma = built.sensor.evaluate(feature_rows(built.sensor.bank, time, v, i, first_dt_s=0.005))
+    scale = np.array([output.scale for output in built.sensor.specification.outputs])
+
+    session = onnxruntime.InferenceSession(
+        (tmp_path / "small.step.onnx").read_bytes(), providers=["CPUExecutionProvider"]
+    )
+    state, dt = np.zeros(session.get_inputs()[-1].shape[0]), np.diff(time, prepend=time[0] - 0.005)
+    stepped = []
+    for k in range(1500):
+        value, deviation, state = session.run(
+            None, {"voltage": v[k : k + 1], "current": i[k : k + 1], "dt": dt[k : k + 1], "state": state}
+        )
+        stepped.append((value, deviation))
+    found = np.array(stepped)
+    assert np.max(np.abs(found[:, 0] - estimate[:1500]) / scale) < 1e-9
+    assert np.max(np.abs(found[:, 1] - sigma[:1500]) / scale) < 1e-9
+
+    runtime = Estimator(load_sensor(tmp_path / "small.onnx"), 0.005)
+    whole = runtime.push(Samples(np.round(time * 1e9).astype(np.int64), v, i))
+    assert np.max(np.abs(whole.values - estimate) / scale) < 1e-4
+    assert np.max(np.abs(whole.sigma - sigma) / scale) < 1e-4
