@@ -1,7 +1,7 @@
 """Coverage of the trainer's 95 % intervals for the function, with white errors and with serially correlated ones.
 
-    python benchmarks/coverage.py            errors white and correlated over 10, 100 and 1000 samples
-    python benchmarks/coverage.py --quick    white and 30 samples, few repetitions, under a minute
+    python benchmarks/interval_coverage.py            errors white and correlated over 10, 100 and 1000 samples
+    python benchmarks/interval_coverage.py --quick    white and 30 samples, few repetitions, under a minute
 
 Inputs and errors are both first-order processes with the same correlation time, the hard case: errors that last look like
 function. Each repetition draws a new function, trains on one sequence, and asks how often the true function on held-out
