@@ -1,0 +1,118 @@
+"""Data sets: true targets, whole cycles apart, instants that hold the starts, and the paper's protocol."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_runtime.errors import DataError
+from motorlens_train.build import Recipe
+from motorlens_train.data import arrays, cycle, paper_split, target
+from motorlens_train.duty_cycles import Noise, duty_cycle, instants
+from motorlens_train.material import OUTPUTS, bank_of, electrical, from_recordings
+from motorlens_train.paper import PAPER_ERROR, paper_run
+from motorlens_train.specification import Rate
+from motorlens_train.trainer import Settings
+
+MOTOR = read_motor_file(Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml")
+QUIET = Noise(0.0, 0.0)
+
+
+def test_targets_obey_the_motor() -> None:
+    """Resistance and temperature of a cycle are one law: R = R_a0 (1 + alpha theta)."""
+    recording = duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng(3))
+    made = cycle(recording, bank_of(MOTOR), OUTPUTS)
+    motor = MOTOR.motor
+    assert made.y[:, 2] == pytest.approx(motor.R_a0 * (1 + motor.alpha * made.y[:, 1]), rel=1e-9)
+    assert made.y[0, 1] == pytest.approx(0, abs=1e-9), "cycles start from ambient"
+    assert len(made.x) == len(recording) and made.x.shape[1] == len(bank_of(MOTOR).features)
+
+
+def test_noise_has_the_deviation_that_is_stated() -> None:
+    quiet = duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng(3))
+    noisy = duty_cycle(MOTOR, Noise(0.5, 0.05), 200.0, 400.0, np.random.default_rng(3))
+    for channel, deviation in (("voltage", 0.5), ("current", 0.05)):
+        difference = noisy.channels[channel] - quiet.channels[channel]
+        assert difference.std() == pytest.approx(deviation, rel=0.05)
+        assert abs(np.corrcoef(difference[1:], difference[:-1])[0, 1]) < 0.05
+    assert np.array_equal(noisy.channels["speed"], quiet.channels["speed"]), "targets are true"
+
+
+def test_a_seed_is_a_cycle_and_another_seed_another() -> None:
+    same = [
+        duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng([1, 2])).channels["current"]
+        for _ in (0, 1)
+    ]
+    other = duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng([1, 3])).channels["current"]
+    assert np.array_equal(*same) and not np.array_equal(same[0], other[: len(same[0])])
+
+
+def test_half_of_the_instants_follow_a_start_or_a_step() -> None:
+    rng = np.random.default_rng(1)
+    recording = duty_cycle(MOTOR, QUIET, 200.0, 4000.0, rng)
+    rows = instants(recording, 400, QUIET, rng)
+    jumps = np.concatenate([[0], np.flatnonzero(np.diff(recording.channels["voltage"])) + 1])
+    since = (rows - jumps[np.searchsorted(jumps, rows, side="right") - 1]) * recording.period_s
+    assert 0.4 < np.mean(since < 5.0) <= 1.0 and len(rows) == len(np.unique(rows)) <= 400
+    assert np.median(np.diff(rows)) < len(recording) / 100
+
+
+def test_sequences_are_the_cycles() -> None:
+    bank = bank_of(MOTOR)
+    cycles = [
+        cycle(duty_cycle(MOTOR, QUIET, 100.0, 200.0, np.random.default_rng(k)), bank, OUTPUTS) for k in (1, 2)
+    ]
+    data = arrays(cycles)
+    assert data.sequences == tuple(len(c.x) for c in cycles)
+    starts = [x for x, _ in data.runs(10**6, 10**6)]
+    assert [len(x) for x in starts] == list(data.sequences), "no run crosses from one cycle into the next"
+
+
+def test_paper_split_is_a_partition_of_50_25_25() -> None:
+    parts = paper_split(1003, np.random.default_rng(0))
+    assert [len(part) for part in parts] == [501, 251, 251]
+    assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(1003))
+
+
+def test_paper_protocol_beats_the_paper() -> None:
+    """The paper: < 0.04 rad/s once steady, 110 at the start, < 0.6 K, < 0.004 ohm, 1.6e-4 after 2000 epochs."""
+    recipe = Recipe(
+        "paper", bank_of(MOTOR), OUTPUTS, (8,), Rate(1000.0, 200.0, 2000.0), 1.0, 1, Settings(iterations=40)
+    )
+    run = paper_run(MOTOR, recipe, Noise(0.48, 0.051), 1)
+    assert run.iterations is not None and run.iterations < 100 and 0 < run.training_error < PAPER_ERROR
+    assert 0 < run.steady["speed"]["rmse"] < 0.02 and run.table["speed"]["max"] < 11
+    assert 0 < run.table["temperature"]["rmse"] < 0.2 and 0 < run.table["resistance"]["rmse"] < 0.001
+
+
+def test_temperature_without_ambient_is_refused() -> None:
+    recording = Recording("r.csv", np.arange(3.0), {"voltage": np.ones(3), "temperature": np.ones(3)})
+    with pytest.raises(DataError, match=r"r.csv: temperature without ambient"):
+        target(recording, "temperature", ambient=False)
+    with pytest.raises(DataError, match=r"r.csv: no speed"):
+        target(recording, "speed", ambient=False)
+
+
+def test_nothing_to_promise_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text("time_s,voltage_V,current_A\n0,1,1\n1,2,1\n2,1,1\n", encoding="utf-8")
+    with pytest.raises(DataError, match="no speed, temperature or resistance"):
+        from_recordings([str(path)], [], "r", 1, None, 5)
+
+
+def test_resistance_and_inductance_are_found_from_a_recording() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(4000) * 1e-3
+    current, speed = 3 + np.sin(40 * time) + np.sin(7 * time), 20 + 5 * np.sin(2 * time)
+    slope = 40 * np.cos(40 * time) + 7 * np.cos(7 * time)
+    voltage = (
+        1.5 * current
+        + 0.006 * slope
+        + 0.1 * speed
+        + 0.3 * np.sign(current)
+        + 0.01 * rng.standard_normal(4000)
+    )
+    channels = {"voltage": voltage, "current": current, "speed": speed}
+    assert electrical([Recording("made", time, channels)]) == pytest.approx((1.5, 0.006), rel=0.02)
