@@ -160,13 +160,8 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
     left = evidence.given(found.prior.keys)
     tests = test_all(left, listed, found.model)
-    decoy = 0.0
-    for name in left.names:
-        if name.startswith("decoy."):
-            tested = score(left, [name])
-            decoy = max(decoy, tested.statistic if tested else 0.0)
     noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
-    return Look(found, evidence, left, tests, bends_of(left, free), decoy, noise, columns, lines)
+    return Look(found, evidence, left, tests, bends_of(left, free), decoy_of(left), noise, columns, lines)
 
 
 def bends_of(left: Evidence, free: Sequence[Curve]) -> list[Bend]:
@@ -249,9 +244,16 @@ def _error_of(found: Fit, run: Run, way: Run, held: bool, r: int) -> float:
     return squares([residual], [run], [found.whiteners[r]])
 
 
-def threshold(now: Look) -> float:
-    """The statistic that counts as real in this screen."""
-    return max(REAL, 2.0 * now.decoy)
+def decoy_of(left: Evidence) -> float:
+    """The best statistic that a decoy reaches."""
+    found = dict(zip(left.names, statistics(left).tolist(), strict=False))
+    return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)
+
+
+def threshold(now: Look, test: Test) -> float:
+    """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
+    labels = test.candidate.columns()[test.variant]
+    return max(REAL, 2.0 * decoy_of(now.left.given(labels)))
 
 
 def stirred(
@@ -335,9 +337,7 @@ def advance(
     broken: list[str] = []
     tests = {name: test for name, test in now.tests.items() if name not in avoid}
     for _ in range(3):
-        standing = [
-            t for t in tests.values() if t.statistic > threshold(now) and t.gain > WORTH * now.samples
-        ]
+        standing = [t for t in tests.values() if t.statistic > REAL and t.gain > WORTH * now.samples]
         standing.sort(key=lambda test: -test.statistic)
         false = spurious(now, runs, standing[:8]) if standing else {}
         # A bias adds to the size: it must be small beside it.
@@ -345,7 +345,7 @@ def advance(
             test
             for test in standing[:8]
             if np.sqrt(test.statistic) - 2 * np.sqrt(false.get(test.candidate.name, 0.0))
-            > np.sqrt(threshold(now))
+            > np.sqrt(threshold(now, test))
         ]
         if not standing:
             return None, broken

@@ -133,8 +133,6 @@ def _nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
         own["initial.w"] = 0.1 * rated.speed_rad_s
     if "temperature" not in run.channels:
         own["initial.theta"] = 0.5 * rated.rise_K
-    if "load_torque" not in run.known:
-        own["load"] = 0.3 * rated.torque_Nm
     if "ambient" not in run.known and "temperature" in run.channels:
         own["ambient"] = AMBIENT_SD_K
     for channel in run.channels:

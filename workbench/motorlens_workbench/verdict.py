@@ -135,7 +135,8 @@ def limits(found: Finding) -> list[str]:
         said.append("Speed was not measured: mechanical effects are seen only through the current.")
     if "load_torque" not in known:
         said.append(
-            "The load torque was not measured: it is taken as constant, and a load that brakes like friction passes for friction."
+            "The load torque was not measured: the shaft is taken as free, and a load passes for a constant torque "
+            "or, if it brakes, for friction."
         )
     if "ambient" not in known and "temperature" in channels:
         said.append(
