@@ -47,6 +47,9 @@ _UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "ohm": {"ohm": (1, 0), "Ω": (1, 0), "mohm": (1e-3, 0), "mΩ": (1e-3, 0)},
 }  # fmt: skip
 
+# Words that make another quantity of a name, as `sd` and `rise` do in what `infer` writes.
+_OTHER_WORDS = frozenset(("ref", "raw", "cmd", "set", "max", "min", "sd", "rise"))
+
 
 @dataclass(frozen=True)
 class Column:
@@ -176,15 +179,9 @@ def _recognise(heading: str) -> tuple[str, str] | None:
 
 
 def _unitlike(suffix: str) -> bool:
-    """Whether a suffix reads as a unit rather than as another word of the name: short last pieces only."""
-    return all(len(piece) <= 4 for piece in suffix.split("_")) and suffix.lower() not in (
-        "ref",
-        "raw",
-        "cmd",
-        "set",
-        "max",
-        "min",
-    )
+    """Whether a suffix reads as a unit rather than as another word of the name (`speed_ref`, `speed_sd_rad_s`)."""
+    pieces = suffix.lower().split("_")
+    return all(len(piece) <= 4 for piece in pieces) and pieces[0] not in _OTHER_WORDS
 
 
 def _unit_in(heading: str, canonical: str) -> str | None:

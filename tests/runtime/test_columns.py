@@ -1,0 +1,30 @@
+"""Headings: what `infer` writes can be read again, by name and by unit."""
+
+import pytest
+
+from motorlens_runtime.columns import understand
+from motorlens_runtime.errors import DataError
+
+
+def test_the_headings_of_infer_are_understood():
+    estimates = ["speed_rad_s", "speed_sd_rad_s", "temperature_rise_K", "temperature_rise_sd_K"]
+    estimates += ["resistance_ohm", "resistance_sd_ohm"]
+    found = understand(["time_s", *estimates, "quality"], {}, "out.csv")
+    assert {quantity: column.heading for quantity, column in found.items()} == {
+        "time": "time_s", "speed": "speed_rad_s", "resistance": "resistance_ohm",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("heading", "quantity", "value"),
+    [("speed_rpm", "speed", 0.10471975511965977), ("Motor Optical Speed (RPM)", "speed", 0.10471975511965977),
+     ("v[mV]", "voltage", 1e-3), ("load_torque_lbf_ft", "load_torque", 1.3558179483314004),
+     ("temperature_degF", "temperature", 1 / 1.8)],
+)  # fmt: skip
+def test_units_of_test_stands(heading, quantity, value):
+    assert understand([heading], {}, "f")[quantity].factor == pytest.approx(value, rel=1e-15)
+
+
+def test_an_unknown_unit_is_said():
+    with pytest.raises(DataError, match="f: column 'speed_mph': unknown unit 'mph' for speed; known: rad/s"):
+        understand(["speed_mph"], {}, "f")
