@@ -1,0 +1,76 @@
+"""The sensor that is shipped: it loads, is small, and does on duty cycles of its own what its card says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_runtime.sensor import load_sensor
+from motorlens_train.baselines.method import OUTPUTS
+from motorlens_train.duty_cycles import duty_cycle
+from motorlens_train.evaluation_sensor import read_sensor
+from motorlens_train.material import noise_of
+
+ROOT = Path(__file__).resolve().parents[2]
+SENSOR = ROOT / "models/sensors/mellah2016.onnx"
+
+
+def test_it_loads_and_is_small() -> None:
+    sensor = load_sensor(SENSOR)
+    assert [o.name for o in sensor.specification.outputs] == list(OUTPUTS)
+    assert SENSOR.stat().st_size <= 20_000
+    assert SENSOR.with_suffix(".step.onnx").exists()
+    assert sensor.card["training_data_sha256"] in SENSOR.with_suffix(".md").read_text(encoding="utf-8")
+
+
+def test_unseen_duty_cycles_are_estimated_as_the_card_says() -> None:
+    """Cycles of a seed that nobody trained on, evaluated from the file: within a factor of the card's figures, both ways."""
+    file = read_motor_file(ROOT / "models/motors/mellah2016.toml")
+    sensor, card = read_sensor(SENSOR), load_sensor(SENSOR).card["unseen"]
+    squares, inside = [], []
+    for seed in range(4):
+        recording = duty_cycle(file, noise_of(file, []), 1000.0, 600.0, np.random.default_rng([99, seed]))
+        estimate = sensor.estimate(recording)
+        channels = recording.channels
+        rise = channels["temperature"] - channels["ambient"]
+        off = estimate.values - np.column_stack([channels["speed"], rise, channels["resistance"]])
+        squares.append((off**2).mean(0))
+        inside.append((np.abs(off) <= 1.96 * estimate.sds).mean(0))
+    rmse = np.sqrt(np.mean(squares, axis=0))
+    for k, (name, goal) in enumerate((("speed", 0.5), ("temperature", 0.8), ("resistance", 0.012))):
+        # Short cycles are the easier ones: hours of heating are where the error of a temperature grows.
+        assert 0.001 * card[name]["rmse"] < rmse[k] < min(4 * card[name]["rmse"], goal), name
+        assert 0.8 < np.mean(inside, axis=0)[k] <= 1.0, name
+
+
+def test_it_is_rebuilt_by_the_command_in_the_makefile() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert (
+        "motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx"
+        in makefile
+    )
+
+
+@pytest.mark.slow
+def test_training_from_the_motor_is_reproducible(tmp_path: Path) -> None:
+    """A small sensor, built twice from one seed: the same bytes."""
+    from motorlens_runtime.cli import main
+
+    arguments = [
+        "--motor",
+        str(ROOT / "models/motors/mellah2016.toml"),
+        "--seed",
+        "3",
+        "--cycles",
+        "10",
+        "--rate",
+        "200",
+    ]
+    files = []
+    for number in (1, 2):
+        (tmp_path / str(number)).mkdir()
+        files.append(tmp_path / str(number) / "small.onnx")
+        more = ["--hidden", "4", "--iterations", "8", "-o", str(files[-1])]
+        assert main(["train", *arguments, *more]) == 0
+    assert files[0].read_bytes() == files[1].read_bytes()
