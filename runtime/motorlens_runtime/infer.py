@@ -41,7 +41,8 @@ def infer(
         parquet: write Parquet instead of CSV.
 
     Returns:
-        the document of `--json`: rows, period, how many rows carry each quality reason, notes in words.
+        the document of `--json`: rows, period, how many rows carry each quality reason, the first row (of the file, from 1)
+        whose voltage or current is no number, notes in words.
 
     Raises:
         DataError, ModelError: the recording or the sensor is not usable.
@@ -57,11 +58,15 @@ def infer(
         estimator = Estimator(sensor, period_s)
         publisher = _publisher(sensor, output, parquet)
         rows, reasons = 0, Counter[str]()
+        first_missing: int | None = None
         try:
             with Progress(stream.size, f"infer {Path(recording).name}") as progress:
                 for block in chain((first,), blocks):
                     estimates = estimator.push(block.samples)
                     publisher.publish(estimates)
+                    missing = np.flatnonzero(estimates.quality & Quality.NOT_FINITE)
+                    if first_missing is None and len(missing):
+                        first_missing = rows + int(missing[0])
                     rows += len(estimates)
                     for word, times in zip(*np.unique(estimates.quality, return_counts=True), strict=True):
                         reasons.update(
@@ -90,6 +95,7 @@ def infer(
         "rows": rows,
         "period_s": period_s,
         "quality": dict(sorted(reasons.items())),
+        "first_missing_row": None if first_missing is None else first_missing + 2,
         "notes": notes,
     }
 

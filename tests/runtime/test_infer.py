@@ -93,12 +93,14 @@ def test_parquet_holds_the_same_numbers(here):
         assert np.array_equal(np.float32(table[name].to_numpy()), np.float32(column)), name
 
 
-def test_cells_without_a_number_are_bridged_and_flagged(here):
+def test_cells_without_a_number_are_bridged_flagged_and_said(here, capsys):
     rows = rows_of()
     rows[100, 1] = rows[200, 2] = np.nan
     write(here / "rec.csv", rows)
     (here / "rec.csv").write_text((here / "rec.csv").read_text().replace("0.1,,", "0.1,NaN,"))
-    assert infer("rec.csv", "--json", "summary.json") == 0
+    assert infer("rec.csv", "--json", "summary.json") == 1
+    error = capsys.readouterr().err
+    assert "rec.csv: row 102: no number for voltage or current; 2 of " in error and error.count("\n") == 1
     result = read()
     assert np.isfinite(np.concatenate(list(result.values()))).all()
     assert np.flatnonzero(result["quality"].astype(int) & 32).tolist() == [100, 200]

@@ -1,6 +1,7 @@
 """Estimate speed, temperature and resistance from a recorded CSV.
 
-The file may be of any length: it is streamed. Output is CSV, or Parquet if OUT ends in .parquet.
+The file may be of any length: it is streamed. Output is CSV, or Parquet if OUT ends in .parquet. Rows whose voltage or
+current is missing are estimated from what came before and flagged; the exit status is then 1.
 
 example: motorlens infer recording.csv --sensor models/sensors/mellah2016.onnx -o estimates.csv
 """
@@ -60,4 +61,12 @@ def run(arguments: argparse.Namespace) -> int:
     for note in summary["notes"]:
         print(f"motorlens infer: {arguments.recording}: {note}", file=sys.stderr)
     write_json(summary, arguments.json)
+    if summary["first_missing_row"] is not None:
+        # The estimates are written, flagged where they had to do without: the data are at fault all the same.
+        print(
+            f"motorlens infer: {arguments.recording}: row {summary['first_missing_row']}: no number for voltage or current; "
+            f"{summary['quality']['not_finite']} of {summary['rows']} rows are estimated without and flagged not_finite",
+            file=sys.stderr,
+        )
+        return 1
     return 0
