@@ -100,10 +100,10 @@ class _Design:
         start = {"theta": rise} | {key: values[key] for key in self.parameters}
         sd = {"w": rated.speed_rad_s / 4, "theta": rise_sd, "load": rated.torque_Nm}
         sd |= {key: share * abs(values[key]) for key, share in settings.tolerances}
-        self.start = [
-            start.get(name, 0.5 * rise if name.startswith("theta") else 0.0) for name in self.states
-        ]
-        self.sd = [sd.get(name, rise_sd if name.startswith("theta") else 0.0) for name in self.states]
+        # What the winding heats along (housing, magnets) starts near ambient temperature, as far as anyone knows.
+        slow = {name: 0.5 * rise_sd for name in self.states if name.startswith("theta_")}
+        self.start = [start.get(name, 0.0) for name in self.states]
+        self.sd = [(sd | slow).get(name, 0.0) for name in self.states]
         n = len(self.states)
         self.pairs = [(a, b) for a in range(n) for b in range(a, n)]
         self.size = len(WINDOW) + len(MEMORY) + n + len(self.pairs)
