@@ -34,6 +34,7 @@ from motorlens_workbench.selection import (
     Progress,
     Test,
     likeness,
+    pair,
     refit,
     rivals,
     test_all,
@@ -350,6 +351,11 @@ def advance(
         if not standing:
             return None, broken
         best = max(standing, key=lambda test: test.statistic)
+        together = pair(now.left, tests, best)
+        if together is not None:
+            step = _first_of(now, together, runs, say)
+            if step is not None:
+                return step, broken
         near = rivals(now.left, tests, best)
         refits: dict[str, Fit] = {}
         for test in near:
@@ -368,6 +374,22 @@ def advance(
         broken += [test.candidate.name for test in near]
         tests = {name: test for name, test in tests.items() if name not in broken}
     return None, broken
+
+
+def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: Progress) -> Step | None:
+    """Accept the stronger of two candidates that belong together, judged beside the other; None if a refit fails."""
+    one, other = together
+    beside = now.left.given(other.candidate.columns()[other.variant])
+    tests = test_all(beside, [test.candidate for test in now.tests.values()], now.found.model)
+    judged = tests[one.candidate.name]
+    if judged.statistic < REAL:
+        return None
+    say(f"refitting with {one.candidate.name}, beside {other.candidate.name}")
+    found = refit(now.found, now.evidence.given(()), one, runs)
+    if found is None or not total(now.found) - total(found) > 0.3 * one.gain:
+        return None
+    step = _accept(replace(now, left=beside, tests=tests), tests, one.candidate.name, {one.candidate.name: found})
+    return step
 
 
 def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fit]) -> Step:

@@ -124,6 +124,44 @@ def rivals(left: Evidence, tests: dict[str, Test], best: Test, most: int = 5) ->
     return [best, *near[: most - 1]]
 
 
+def pair(left: Evidence, tests: dict[str, Test], best: Test) -> tuple[Test, Test] | None:
+    """The two candidates that together explain far more than the best alone, the stronger first; None if none do.
+
+    One wrong candidate can imitate two right ones by halves, and a search that takes one at a time would start with it.
+    """
+    assert best.score is not None
+    able = [t for t in tests.values() if t.score and len(t.score.names) == 1 and t.score.inflation < 1e4]
+    labels = [t.candidate.columns()[t.variant][0] for t in able]
+    at = left.index(labels)
+    total = left.total()
+    inner, right = total[np.ix_(at, at)], total[at, -1]
+    power = np.diagonal(inner)
+    determinant = np.outer(power, power) - inner**2
+    apart = determinant > 0.03 * np.outer(power, power)
+    safe = np.where(apart, determinant, 1.0)
+    # Coefficient of the row's candidate beside the column's, and their joint gain.
+    size = (right[:, None] * power[None, :] - right[None, :] * inner) / safe
+    gain = np.where(apart, size * right[:, None] + size.T * right[None, :], 0.0)
+    possible = np.array([[_possible(t, float(c)) for c in row] for t, row in zip(able, size, strict=True)])
+    gain = np.where(possible & possible.T, gain, 0.0)
+    a, b = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    needed = max(2 * REAL * best.score.inflation, 0.1 * best.score.gain)
+    if gain[a, b] - best.score.gain < needed:
+        return None
+    one, other = able[int(a)], able[int(b)]
+    return (one, other) if one.statistic >= other.statistic else (other, one)
+
+
+def _possible(test: Test, coefficient: float) -> bool:
+    switch = test.candidate.variants[test.variant][0].switch()
+    assert switch is not None and switch.null is not None
+    size = coefficient * test.typical
+    return (
+        switch.bounds[0] <= switch.null + size <= switch.bounds[1]
+        and abs(coefficient) < PLAUSIBLE[test.candidate.kind] / 2
+    )
+
+
 def likeness(left: Evidence, one: Test, other: Test) -> float:
     """Squared correlation of two candidates' columns (the largest, where they have several)."""
     labels = [*one.candidate.columns()[one.variant], *other.candidate.columns()[other.variant]]
