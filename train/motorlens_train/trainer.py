@@ -135,11 +135,11 @@ def train(
     state = run.start()
     if checkpoint is not None and checkpoint.exists():
         state = load_checkpoint(checkpoint)
-    point: Point | None = None
+    here: _Place | None = None
     stopped = "no progress left"
     try:
         while True:
-            state, point, finished = run.iterate(state, point)
+            state, here, finished = run.iterate(state, here)
             report(state.history[-1])
             if checkpoint is not None:
                 save_checkpoint(checkpoint, state)
@@ -149,6 +149,14 @@ def train(
     except KeyboardInterrupt:
         stopped = "interrupted: the best so far is kept"
     return run.finish(state, stopped)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A point on the batch of its stage."""
+
+    batch: Batch
+    point: Point
 
 
 @dataclass(frozen=True)
@@ -166,11 +174,12 @@ class _Run:
         hyper = Hyperparameters.start(self.architecture, self.settings.tau)
         return State(hidden, hyper, 1.0, 0, 0, 0, hidden, hyper, float("inf"), 0, ())
 
-    def iterate(self, state: State, point: Point | None) -> tuple[State, Point | None, str]:
-        """One iteration; returns the reason to stop, or an empty string."""
-        batch = self._batch(state.stage)
-        if point is None:
-            point = locate(self.architecture, state.hidden, state.hyper, batch)
+    def iterate(self, state: State, here: _Place | None) -> tuple[State, _Place | None, str]:
+        """One iteration; returns the reason to stop, or an empty string. A place is None where a stage begins."""
+        if here is None:
+            batch = self._batch(state.stage)
+            here = _Place(batch, locate(self.architecture, state.hidden, state.hyper, batch))
+        batch, point = here.batch, here.point
         taken = step(point, state.hyper, state.damping, batch, self._curving(batch, state))
         progress = (point.objective - taken.point.objective) / abs(point.objective)
         quiet = state.quiet + 1 if progress < self._patience_threshold(batch) else 0
@@ -187,19 +196,17 @@ class _Run:
         after = settle(self.architecture, taken.point.network.hidden, hyper, taken.point.moments)
         state = self._recorded(state, after, taken.damping, taken.accepted, hyper, found, batch)
         state = replace(state, quiet=quiet)
+        there = _Place(batch, after)
         if self.validation is not None and self._last(batch) and state.since_best >= self.settings.patience:
-            return state, after, f"the validation error has not improved for {state.since_best} iterations"
+            return state, there, f"the validation error has not improved for {state.since_best} iterations"
         if state.iteration >= self.settings.iterations:
-            return state, after, f"the limit of {state.iteration} iterations is reached"
+            return state, there, f"the limit of {state.iteration} iterations is reached"
         if quiet < (2 if self._last(batch) else 1):
-            return state, after, ""
-        if not self._last(batch):
-            return (
-                replace(state, stage=state.stage + 1, quiet=0, since_best=0, damping=min(state.damping, 1.0)),
-                None,
-                "",
-            )
-        return state, after, "no damping leads downhill" if stuck else "converged"
+            return state, there, ""
+        if self._last(batch):
+            return state, there, "no damping leads downhill" if stuck else "converged"
+        onward = replace(state, stage=state.stage + 1, quiet=0, since_best=0, damping=min(state.damping, 1.0))
+        return onward, None, ""
 
     def finish(self, state: State, stopped: str) -> Trained:
         best = self.validation is not None
