@@ -101,7 +101,8 @@ def add(
     rungs.append(_described(name, found, runs, judge, recordings))
     gain = (total(now.found) - total(found)) / test.score.inflation
     before, after = rungs[-2].held_out, rungs[-1].held_out
-    better = any(after[c] < before[c] for c in after) and all(after[c] < 1.02 * before[c] for c in after)
+    # Channels are traded by the logarithm of their error: what one loses, another must more than win.
+    better = sum(float(np.log(after[c] / before[c])) for c in after) < 0
     why = ""
     if gain < REAL or gain * test.score.inflation < WORTH * now.samples:
         why = f"what it explains is within chance (statistic {gain:.3g}, needed {REAL:g})"
