@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, Curve, candidates, curves
@@ -251,6 +252,17 @@ def decoy_of(left: Evidence) -> float:
     return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)
 
 
+def _believable(bend: Bend, rated: Rated) -> bool:
+    """Whether a curve stays within what such a term can be: rated voltage and torque, a few times the rated power."""
+    limit = {
+        "voltage": rated.voltage_V,
+        "torque": rated.torque_Nm,
+        "heat": 3 * rated.voltage_V * rated.current_A,
+    }
+    sure = np.abs(bend.value) > 3 * bend.sd
+    return bool(np.median(np.abs(bend.value[sure])) < limit[bend.curve.balance]) if sure.any() else True
+
+
 def threshold(now: Look, test: Test) -> float:
     """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
     labels = test.candidate.columns()[test.variant]
@@ -301,6 +313,7 @@ def sober(now: Look, runs: Sequence[Run]) -> Look:
         bend
         for bend in now.bends
         if bend.deviations > BENT
+        and _believable(bend, now.found.model.file.rated)
         and bend.gain > 2 * max(REAL, now.decoy)
         and bend.best > max(REAL, 3 * now.decoy)
     ]
@@ -388,7 +401,9 @@ def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: 
     found = refit(now.found, now.evidence.given(()), one, runs)
     if found is None or not total(now.found) - total(found) > 0.3 * one.gain:
         return None
-    step = _accept(replace(now, left=beside, tests=tests), tests, one.candidate.name, {one.candidate.name: found})
+    step = _accept(
+        replace(now, left=beside, tests=tests), tests, one.candidate.name, {one.candidate.name: found}
+    )
     return step
 
 

@@ -1,0 +1,165 @@
+"""The diagnosis end to end on simulated recordings: what was put in is what is found, and nothing where nothing is.
+
+The base parameters handed to the diagnosis are off by 10 to 20 %. The blind test with an independent generator is
+test_hidden_effects.py.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from motorlens_physics.effect import catalogue
+from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
+from motorlens_physics.recording import Recording, write_recording
+from motorlens_physics.scenario import measure, perform, scenarios
+from motorlens_physics.sensor_model import sensor_catalogue
+from motorlens_workbench.diagnosis import Finding, investigate
+from motorlens_workbench.diagnosis_json import to_json, to_text
+from motorlens_workbench.verdict import settle
+
+from motorlens_runtime.cli import main
+
+MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}
+
+
+@pytest.fixture(scope="module")
+def rough() -> MotorFile:
+    return read_motor_file(MOTOR).with_values({"R_a0": 4.0, "ke": 0.85, "J": 0.039, "b": 0.0018})
+
+
+def recorded(
+    seed: int = 0, effects: dict[str, float] | None = None, faults: dict[str, float] | None = None
+) -> Recording:
+    file = read_motor_file(MOTOR)
+    known, sensors = catalogue(), sensor_catalogue()
+    for name, size in (effects or {}).items():
+        effect = known[name].typical(file.rated)
+        file = replace(file, motor=file.motor.with_effect(replace(effect, **{effect.switch().name: size})))
+    rng = np.random.default_rng(seed)
+    truth = perform(file, scenarios()["load_steps"](duration_s=30.0, period_s=0.003), rng)
+    shown = []
+    for name, size in (faults or {}).items():
+        switch = sensors[name].switch()
+        assert switch is not None
+        shown.append(replace(sensors[name], **{switch.name: size}))
+    return measure(truth, tuple(shown), NOISE, rng)
+
+
+def diagnosed(rough: MotorFile, recording: Recording) -> tuple[Finding, dict]:
+    found = investigate(rough, [recording])
+    return found, to_json(found, settle(found), None, ["rec.csv"], "motor.toml")
+
+
+def test_coulomb_friction_is_found_with_its_size(rough):
+    found, document = diagnosed(rough, recorded(1, {"coulomb_friction": 0.3}))
+    assert document["verdict"] in ("named", "group")
+    # Without an hour of heating, hysteresis (which also heats) brakes exactly like Coulomb friction.
+    assert {"coulomb_friction"} <= set(document["groups"][0]) <= {"coulomb_friction", "hysteresis_iron_loss"}
+    assert document["equation"] == "mechanical"
+    name = document["chosen"][0]
+    size = next(iter(next(e for e in document["candidates"] if e["name"] == name)["parameters"].values()))
+    assert size["value"] == pytest.approx(0.3, abs=4 * size["sd"] + 0.01)
+    error = document["error"]
+    assert error["after"]["current"] < 0.9 * error["before"]["current"]
+    assert error["after"]["speed"] < 1.1 * error["noise_floor"]["speed"]
+    # The base parameters were rough and are found along with it.
+    assert found.last.found.model.values()["ke"] == pytest.approx(0.9346, rel=0.01)
+
+
+def test_nothing_missing_is_said_with_what_would_have_been_seen(rough):
+    _, document = diagnosed(rough, recorded(2))
+    assert document["verdict"] == "adequate"
+    assert document["chosen"] == []
+    smallest = {entry["name"]: entry["minimum_detectable"] for entry in document["candidates"]}
+    assert 0 < smallest["coulomb_friction"] < 0.15
+    assert 0 < smallest["brush_voltage_drop"] < 2.0
+    assert "Nothing is missing above" in to_text(document)
+
+
+def test_a_sensor_offset_is_not_taken_for_physics(rough):
+    _, document = diagnosed(rough, recorded(3, faults={"speed_sensor_offset": 6.0}))
+    offered = {name for group in document["groups"] for name in group}
+    assert "speed_sensor_offset" in offered
+    assert all("_sensor_" in name for name in offered)
+
+
+def test_no_decoy_is_ever_named(rough):
+    _, document = diagnosed(rough, recorded(4, {"quadratic_drag": 2e-5}))
+    assert "quadratic_drag" in {name for group in document["groups"] for name in group}
+    assert "decoy" not in json.dumps(document)
+
+
+def test_the_commands_in_a_row(rough, tmp_path, capsys):
+    motor, first, second = tmp_path / "motor.toml", tmp_path / "a.csv", tmp_path / "b.csv"
+    write_motor_file(rough, motor)
+    write_recording(recorded(5, {"coulomb_friction": 0.3}), first)
+    write_recording(recorded(6, {"coulomb_friction": 0.3}), second)
+    answer, page = tmp_path / "answer.json", tmp_path / "answer.html"
+    arguments = ["--motor", str(motor), "--json", str(answer), "--html", str(page)]
+    assert main(["diagnose", str(first), *arguments]) == 0
+    document = json.loads(answer.read_text())
+    assert document["schema"] == "motorlens.diagnose/1"
+    text = page.read_text()
+    assert (
+        document["sentence"] in text
+        and text.count("<script>") >= 1
+        and "http" not in text.split("</script>")[-1]
+    )
+
+    better = tmp_path / "better.toml"
+    command = ["add", "coulomb_friction", "--motor", str(motor), "--fit", str(first), "--judge", str(second)]
+    assert main([*command, "-o", str(better), "--json", str(tmp_path / "add.json")]) == 0
+    ladder = json.loads((tmp_path / "add.json").read_text())
+    assert ladder["ladder"][-1]["judged"]["speed"] < 0.9 * ladder["ladder"][0]["judged"]["speed"]
+    added = read_motor_file(better)
+    assert added.values()["coulomb_friction.tau_c"] == pytest.approx(0.3, rel=0.1)
+    assert added.knowledge["coulomb_friction.tau_c"].sd is not None
+    assert "coulomb_friction.tau_c" not in read_motor_file(motor).values()
+
+    # What the data do not support is refused, and nothing is written.
+    worse = tmp_path / "worse.toml"
+    refused = ["add", "quadratic_drag", "--motor", str(better), "--fit", str(first), "-o", str(worse)]
+    assert main(refused) == 1
+    assert not worse.exists()
+    assert "do not support" in capsys.readouterr().out
+
+    assert (
+        main(
+            [
+                "add",
+                "coulomb_friction",
+                "--remove",
+                "--motor",
+                str(better),
+                "--fit",
+                str(first),
+                "-o",
+                str(worse),
+            ]
+        )
+        == 0
+    )
+    assert "coulomb_friction.tau_c" not in read_motor_file(worse).values()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["add", "nonsense", "--motor", "M", "--fit", "R", "-o", "N"], "no such effect"),
+        (["add", "coulomb_friction", "--motor", "M", "--fit", "R", "-o", "M"], "is kept"),
+        (
+            ["add", "coulomb_friction", "--remove", "--motor", "M", "--fit", "R", "-o", "N"],
+            "is not in the motor file",
+        ),
+    ],
+)
+def test_wrong_use_is_one_clear_line(arguments, message, rough, tmp_path, capsys):
+    names = {"M": tmp_path / "m.toml", "R": tmp_path / "r.csv", "N": tmp_path / "n.toml"}
+    write_motor_file(rough, names["M"])
+    write_recording(recorded(7), names["R"])
+    assert main([str(names.get(word, word)) for word in arguments]) == 1
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in said
