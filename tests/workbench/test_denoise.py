@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from motorlens_workbench.denoise import noise_sd, smoothed
 
 

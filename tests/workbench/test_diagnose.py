@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
 from motorlens_physics.recording import Recording, write_recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import sensor_catalogue
+from motorlens_runtime.cli import main
 from motorlens_workbench.diagnosis import Finding, investigate
 from motorlens_workbench.diagnosis_json import to_json, to_text
 from motorlens_workbench.verdict import settle
-
-from motorlens_runtime.cli import main
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from motorlens_workbench.evidence import Evidence, curve_gain, largest_by_chance, score, similarity
 
 

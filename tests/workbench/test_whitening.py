@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from motorlens_workbench.whitening import fit_whitener, quantisation_step, white
 
 

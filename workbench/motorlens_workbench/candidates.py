@@ -71,7 +71,7 @@ def candidates(
         inputs: inputs measured, "voltage" among them.
         own: effects from outside the catalogue.
     """
-    present = {part.name() for part in (*file.motor.effects, *file.sensors)}
+    present = {part.name() for part in file.motor.effects} | {part.name() for part in file.sensors}
     found = []
     for effect in (*catalogue().values(), *own):
         if effect.name() in present:
@@ -95,8 +95,8 @@ def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]
         # A phase is a sine and a cosine; the number of detents a revolution is tried.
         counts = (4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 16, 18, 20, 24) if "N" in effect.parameters() else (None,)
         for count in counts:
-            with_count = typical if count is None else replace(typical, N=float(count))
-            yield tuple(replace(with_count, p=phase) for phase in (0.0, np.pi / 2))
+            with_count = typical if count is None else shaped(typical, N=float(count))
+            yield tuple(shaped(with_count, p=phase) for phase in (0.0, np.pi / 2))
         return
     grids = {p.name: [f * p.typical(file.rated) for f in (0.3, 1.0, 3.0)] for p in free}
     if len(free) == 1:
@@ -107,6 +107,11 @@ def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]
         for last in (0.3, 1.0, 3.0):
             values = {p.name: p.typical(file.rated) * (last if p is free[-1] else scale) for p in free}
             yield (replace(typical, **{p.name: _within(p.bounds, values[p.name]) for p in free}),)
+
+
+def shaped(part: Any, **values: float) -> Any:
+    """An effect or a sensor model with some of its parameters set, by name."""
+    return replace(part, **values)
 
 
 def _within(bounds: tuple[float, float], value: float) -> float:
@@ -177,7 +182,7 @@ def _states(effect: Effect, trajectory: Trajectory, u: Any) -> Any:
     return x
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _integrate(time, a, b, first):  # type: ignore[no-untyped-def]
     s = np.empty(len(time))
     s[0] = first

@@ -393,12 +393,13 @@ def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: 
     """Accept the stronger of two candidates that belong together, judged beside the other; None if a refit fails."""
     one, other = together
     beside = now.left.given(other.candidate.columns()[other.variant])
-    tests = test_all(beside, [test.candidate for test in now.tests.values()], now.found.model)
+    listed = [test.candidate for test in now.tests.values() if test is not other]
+    tests = test_all(beside, listed, now.found.model)
     judged = tests[one.candidate.name]
     if judged.statistic < REAL:
         return None
     say(f"refitting with {one.candidate.name}, beside {other.candidate.name}")
-    found = refit(now.found, now.evidence.given(()), one, runs)
+    found = refit(now.found, now.evidence, one, runs)
     if found is None or not total(now.found) - total(found) > 0.3 * one.gain:
         return None
     step = _accept(

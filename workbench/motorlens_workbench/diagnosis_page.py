@@ -56,9 +56,8 @@ def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command:
 
 def _next_step(document: dict[str, Any]) -> list[str]:
     if "separating_experiment" in document:
-        return [
-            f"To tell {', '.join(document['separating_experiment']['separates'])} apart: {document['separating_experiment']['why']}."
-        ]
+        test = document["separating_experiment"]
+        return [f"To tell {', '.join(test['separates'])} apart: {test['why']}."]
     if document["chosen"]:
         return [f"Next: motorlens add {document['chosen'][0]}, and diagnose again."]
     return []
@@ -170,12 +169,13 @@ def _alike(found: Finding, document: dict[str, Any]) -> Picture:
     ]
     alike = similarity(found.first.left, labels)
     heat = {
-        "type": "heatmap", "x": names, "y": names, "z": np.round(alike, 4).tolist(), "zmin": 0, "zmax": 1, "colorscale": "Blues",
+        "type": "heatmap", "x": names, "y": names, "z": np.round(alike, 4).tolist(), "zmin": 0, "zmax": 1,
+        "colorscale": "Blues",
     }  # fmt: skip
     drawn = figure([heat], "", "", 560, margin={"l": 230, "r": 20, "t": 10, "b": 190})
     return Picture(
         drawn,
-        "Squared correlation after the base parameters have taken their share: 1 cannot be told apart by these recordings.",
+        "Squared correlation after the base parameters have taken their share; 1: these recordings cannot tell them apart.",
     )
 
 

@@ -2,7 +2,8 @@
 
 For two rivals of the present size, 2 log likelihood that a recording of a scenario would put between them is
 c^2 |x|^2 (1 - rho^2), with x the column of one after the base parameters have taken their share and rho its correlation with
-the other's (Hunter and Reiner 1965, Designs for discriminating between two rival models, doi:10.1080/00401706.1965.10490265).
+the other's. Hunter and Reiner (1965), Designs for discriminating between two rival models,
+doi:10.1080/00401706.1965.10490265.
 """
 
 from collections.abc import Sequence

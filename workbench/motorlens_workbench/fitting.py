@@ -15,7 +15,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Parameter
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.model import Model, differences_of, predict, sensitivities_of
+from motorlens_workbench.model import Model, differences_of, parts_of, predict, sensitivities_of
 from motorlens_workbench.run import STATE_OF, Run
 from motorlens_workbench.whitening import Whitener, fit_whitener, white
 
@@ -92,7 +92,7 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
         centre[key], sd[key] = values[key], max(relative * size, stated or 0.0)
         bounds[key] = (max(what.bounds[0], 0.05 * values[key]), what.bounds[1])
     prior = Prior(centre, sd, bounds)
-    for part in (*file.motor.effects, *file.sensors):
+    for part in parts_of(file):
         prior = prior.joined(part_prior(file, part.name()))
     for r, run in enumerate(runs):
         own = _nuisance_sd(file, run)
@@ -106,7 +106,7 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
 
 def part_prior(file: MotorFile, name: str) -> Prior:
     """The free parameters of an effect or a sensor model of the file: wide around their value, within their bounds."""
-    part = next(part for part in (*file.motor.effects, *file.sensors) if part.name() == name)
+    part = next(part for part in parts_of(file) if part.name() == name)
     centre: dict[str, float] = {}
     sd: dict[str, float] = {}
     bounds: dict[str, tuple[float, float]] = {}

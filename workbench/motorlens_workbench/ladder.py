@@ -12,7 +12,7 @@ from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.diagnosis import base_fit, look
 from motorlens_workbench.fitting import Fit, noise_of, start_model
-from motorlens_workbench.model import predict
+from motorlens_workbench.model import parts_of, predict
 from motorlens_workbench.run import Run, prepare
 from motorlens_workbench.screen import all_columns, evidence_of, held_out_rmse, with_priors
 from motorlens_workbench.selection import REAL, WORTH, Progress, refit, total
@@ -61,12 +61,12 @@ def add(
     Raises:
         DataError: the effect is in the file already, or there is none of that name for these recordings.
     """
-    if any(part.name() == name for part in (*file.motor.effects, *file.sensors)):
+    if any(part.name() == name for part in parts_of(file)):
         raise DataError(f"{name} is in the motor file already; --remove takes it out")
     runs = tuple(prepare(recording, file) for recording in recordings)
     rungs = []
     lower = _stripped(file)
-    names = [part.name() for part in (*file.motor.effects, *file.sensors)]
+    names = [part.name() for part in parts_of(file)]
     for k in range(len(names)):
         say(f"fitting {'the textbook alone' if k == 0 else 'with ' + names[k - 1]}")
         rungs.append(_rung(names[k - 1] if k else "", _with(lower, file, names[:k]), runs, judge)[0])
@@ -123,7 +123,7 @@ def remove(
     Raises:
         DataError: the file has it not.
     """
-    if not any(part.name() == name for part in (*file.motor.effects, *file.sensors)):
+    if not any(part.name() == name for part in parts_of(file)):
         raise DataError(f"{name} is not in the motor file")
     runs = tuple(prepare(recording, file) for recording in recordings)
     say("fitting the motor file as it is")

@@ -23,7 +23,11 @@ def to_json(found: Ladder, effect: str, motor: str, written: str | None) -> dict
         ],
         "noise_floor": dict(found.noise_floor),
         "parameters": {
-            key: {"value": value, "sd": last.knowledge[key].sd if key in last.knowledge else None, "unit": last.meaning(key).unit}
+            key: {
+                "value": value,
+                "sd": last.knowledge[key].sd if key in last.knowledge else None,
+                "unit": last.meaning(key).unit,
+            }
             for key, value in last.values().items()
         },
     }  # fmt: skip
@@ -83,13 +87,14 @@ def to_html(document: dict[str, Any]) -> str:
     """The page of `--html`."""
     channels = list(document["noise_floor"])
     names = [rung["added"] or "textbook" for rung in document["ladder"]] + ["noise floor"]
-    pictures = [
-        Picture(
-            figure([bars(names, [*(r["held_out"].get(c, 0.0) for r in document["ladder"]), document["noise_floor"][c]], PREDICTED)],
-                   f"RMSE of {c} on blocks of time held out", "", 90 + 34 * len(names), margin={"l": 190, "r": 20, "t": 10, "b": 45}),
-        )
-        for c in channels
-    ]  # fmt: skip
+    pictures = []
+    for c in channels:
+        values = [*(rung["held_out"].get(c, 0.0) for rung in document["ladder"]), document["noise_floor"][c]]
+        drawn = figure(
+            [bars(names, values, PREDICTED)], f"RMSE of {c} on blocks of time held out", "", 90 + 34 * len(names),
+            margin={"l": 190, "r": 20, "t": 10, "b": 45},
+        )  # fmt: skip
+        pictures.append(Picture(drawn))
     rows = [
         [key, entry["value"], entry["sd"] or "", entry["unit"]]
         for key, entry in document["parameters"].items()

@@ -171,7 +171,7 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
         _, linearisation = linearise(motor, inputs, start, smooth=True)
     else:
         linearisation = None
-    for j, (key, name) in enumerate(zip(keys, local, strict=True)):
+    for j, name in enumerate(local):
         if "@" in name:
             continue
         if name in of_motor:
@@ -276,6 +276,13 @@ def _unread(sensors: Sequence[SensorModel], channel: str, time_s: Array, y: Arra
         if sensor.channel == channel:
             y = np.asarray(sensor.unread(y, np.gradient(y, time_s)), dtype=np.float64)
     return y
+
+
+def parts_of(file: MotorFile) -> tuple[Effect | SensorModel, ...]:
+    """Effects and sensor models of a motor file."""
+    parts: list[Effect | SensorModel] = [*file.motor.effects]
+    parts += file.sensors
+    return tuple(parts)
 
 
 def with_effect(model: Model, effect: Effect) -> Model:

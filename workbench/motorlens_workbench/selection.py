@@ -6,7 +6,7 @@ always fitted along.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.candidates import Candidate
+from motorlens_workbench.candidates import Candidate, shaped
 from motorlens_workbench.evidence import Evidence, Score, score, similarity
 from motorlens_workbench.fitting import Fit, Prior, fit, part_prior
-from motorlens_workbench.model import Model, with_effect, with_sensor
+from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor
 from motorlens_workbench.run import Run
 
 Array = NDArray[np.float64]
@@ -182,12 +182,12 @@ def with_candidate(found: Fit, evidence: Evidence, test: Test) -> tuple[Model, P
     if len(labels) == 2:
         # sin(N phi + p) = sin(N phi) cos p + cos(N phi) sin p
         amplitude, phase = float(np.hypot(*sizes)), float(np.arctan2(sizes[1], sizes[0]))
-        part = replace(parts[0], **{switch.name: switch.null + amplitude, "p": phase})  # type: ignore[type-var]
+        part = shaped(parts[0], **{switch.name: switch.null + amplitude, "p": phase})
     else:
         low, high = switch.bounds
         # Not quite at null, where the shape would be undetermined.
         size = sizes[0] if abs(sizes[0]) > 1e-3 * abs(test.typical) else 1e-3 * test.typical
-        part = replace(parts[0], **{switch.name: float(np.clip(switch.null + size, low, high))})  # type: ignore[type-var]
+        part = shaped(parts[0], **{switch.name: float(np.clip(switch.null + size, low, high))})
     values = found.model.values()
     moved = {
         key: float(
@@ -196,7 +196,7 @@ def with_candidate(found: Fit, evidence: Evidence, test: Test) -> tuple[Model, P
         for key, move in zip(keys, solution[: len(keys)], strict=True)
     }
     add = with_sensor if isinstance(part, SensorModel) else with_effect
-    model = add(found.model, part)  # type: ignore[arg-type]
+    model = add(found.model, part)
     return model.with_values(moved), found.prior.joined(part_prior(model.file, candidate.name))
 
 
@@ -210,7 +210,7 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
     """The whole model fitted again with the candidate in it; None if no start can be simulated."""
     linear, prior = with_candidate(found, evidence, test)
     unmoved = found.model.with_values({})
-    parts = (*linear.file.motor.effects, *linear.file.sensors)
+    parts = parts_of(linear.file)
     part = next(part for part in parts if part.name() == test.candidate.name)
     add = with_sensor if isinstance(part, SensorModel) else with_effect
     best: Fit | None = None
@@ -233,7 +233,7 @@ def total(found: Fit) -> float:
 
 def effect_names(model: Model) -> list[str]:
     """Effects and sensor models of a model."""
-    return [part.name() for part in (*model.file.motor.effects, *model.file.sensors)]
+    return [part.name() for part in parts_of(model.file)]
 
 
 Progress = Callable[[str], None]
