@@ -130,7 +130,7 @@ def material(file: MotorFile, size: Size, seed: int) -> list[Recording]:
     """Cycles to train on: at 1000, 500 and 200 Hz, every second one with an unknown history."""
     return [
         duty_cycle(
-            file, WHITE, 1000.0 / (1, 2, 5)[k % 3], 900.0, np.random.default_rng([seed, k]), k % 2 == 1
+            file, WHITE, 1000.0 / (1, 2, 5)[k % 3], 600.0, np.random.default_rng([seed, k]), k % 2 == 1
         )
         for k in range(size.training)
     ]
@@ -228,7 +228,7 @@ def tolerance(size: Size) -> None:
             another(np.random.default_rng([61, k])),
             WHITE,
             200.0,
-            900.0,
+            600.0,
             np.random.default_rng([62, k]),
             k % 2 == 1,
         )
@@ -331,7 +331,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="train on little, show a part")
     quick = parser.parse_args().quick
-    size = Size(16, 3, 150.0, 25) if quick else Size(72, 12, 600.0, 60)
+    size = Size(16, 3, 150.0, 25) if quick else Size(36, 8, 400.0, 50)
     started = time.monotonic()
     hybrid = exact_motor(size, quick)
     hot_restart(hybrid, size)

@@ -172,7 +172,8 @@ def protect(file: MotorFile, sensor: Path, overload: float, seconds: float) -> N
         speed, rise, _ = virtual.step(v, i, PERIOD_S)
         smooth += (np.array([speed, i]) - smooth) * PERIOD_S / 0.5
     print(
-        f"after {seconds:.0f} s at {overload:.1f} x rated torque the sensor says {rise:.1f} K ({start.rise_K[-1]:.1f} K in truth)"
+        f"after {seconds:.0f} s at {overload:.1f} x rated torque: {rise:.1f} K by the sensor, "
+        f"{start.rise_K[-1]:.1f} K in truth"
     )
     for name, limit in INSULATION_C.items():
         said = time_to_limit(m, limit - plate.ambient_C, rise, float(smooth[0]), float(smooth[1]))
@@ -184,6 +185,7 @@ def protect(file: MotorFile, sensor: Path, overload: float, seconds: float) -> N
 
 
 def main() -> int:
+    """Run all three and print what came of them."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

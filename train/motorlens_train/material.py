@@ -15,6 +15,7 @@ from motorlens_train.baselines.extended_kalman import noise_of as noise_found
 from motorlens_train.build import Recipe
 from motorlens_train.data import Cycle, cycle
 from motorlens_train.duty_cycles import Noise, duty_cycle, instants
+from motorlens_train.evaluation import counted
 from motorlens_train.features import motor_bank, recording_bank
 from motorlens_train.observer import ObserverSettings, with_observer
 from motorlens_train.paper import PaperRun, paper_run
@@ -76,7 +77,9 @@ def from_motor(
         # An observer reads the temperature off the inrush, so what it stands in may have any history.
         unknown = number >= cycles or (observed is not None and number % 2 == 1)
         rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3] if observed is not None else rate_Hz
-        made.append(simulated(file, bank, deviations, rate, [seed, number], unknown))
+        # Nor can it know anything before the first inrush: its errors are counted from a second after that.
+        settled = observed is not None and (number >= cycles or fifth <= number < 2 * fifth)
+        made.append(simulated(file, bank, deviations, rate, [seed, number], unknown, settled))
         done(number + 1)
     usual = (12, 8) if observed is None else (6,)
     recipe = Recipe(
@@ -89,6 +92,7 @@ def from_motor(
         f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load and ambient, hot restarts, "
         f"{starts}, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
         f"{deviations.current_A:.3g} A a sample"
+        + ("; errors count from one second after the first voltage step" if observed is not None else "")
     )
     cases = {"started warm or switched on late, unknown to the sensor": tuple(made[cycles:])}
     return Material(
@@ -108,12 +112,16 @@ def paper_of(path: Path, recipe: Recipe, noise: Sequence[str]) -> PaperRun:
 
 
 def simulated(
-    file: MotorFile, bank: Bank, noise: Noise, rate_Hz: float, seed: list[int], unknown_history: bool = False
-) -> Cycle:
-    """One simulated cycle with the rows to train on."""
+    file: MotorFile, bank: Bank, noise: Noise, rate_Hz: float, seed: list[int], unknown_history: bool = False,
+    settled: bool = False,
+) -> Cycle:  # fmt: skip
+    """One simulated cycle with the rows to train on; `settled` leaves out those before a second after the first step."""
     rng = np.random.default_rng(seed)
     recording = duty_cycle(file, noise, rate_Hz, LONGEST_S, rng, unknown_history)
-    return cycle(recording, bank, OUTPUTS, instants(recording, ROWS, noise, rng))
+    rows = instants(recording, ROWS, noise, rng)
+    if settled:
+        rows = rows[counted(recording, file)[rows]]
+    return cycle(recording, bank, OUTPUTS, rows)
 
 
 def bank_of(file: MotorFile) -> Bank:

@@ -62,6 +62,9 @@ def _fit(
     prior = np.array([_prior(file, name) for name in names])
     mean = np.r_[prior[:, 0], np.zeros(nuisances)]
     precision = np.r_[1 / np.square(prior[:, 1]), np.full(nuisances, 1e-12)]
+    if len(right) < 3 * len(mean):
+        # As few windows as unknowns: they would be met exactly, and believed.
+        return {name: file.values()[name] * (file.values()["k0"] if name == "kT" else 1.0) for name in names}
     solution, noise = mean, float("inf")
     for _ in range(3):
         residual = (
