@@ -44,9 +44,11 @@ bench: .venv/bench
 hil: .venv/everything
 	$(BIN)/python benchmarks/hil.py $(BENCH)
 
-# Rebuild the shipped sensor from its seed.
+# Rebuild the shipped sensors from their seed: filters alone, and filters beside a physics observer.
 sensor: .venv/everything
 	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
+	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --observer models/motors/mellah2016.toml --seed 1 \
+		--iterations 60 -o models/sensors/mellah2016_observer.onnx
 
 clean:
 	rm -rf .venv out dist build
