@@ -41,6 +41,7 @@ class Run:
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
         input_noise: standard deviation of what was smoothed away from the voltage (V) and the load torque (N m).
+        input_step: the least significant bit of either, 0 if continuous.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Run:
     floor: Array
     angle: Array | None = None
     input_noise: tuple[float, float] = (0.0, 0.0)
+    input_step: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -88,16 +90,25 @@ class Run:
         noise = (noise_sd(shown.voltage_V), noise_sd(shown.load_torque_Nm))
         return replace(self, inputs=smooth, input_noise=noise)
 
+    @property
+    def disturbed(self) -> bool:
+        """Whether the errors of its inputs are known to be worth a thought."""
+        return any(self.input_noise) or any(self.input_step)
+
     def stirred(self, rng: np.random.Generator) -> "Run":
         """With errors of its inputs as large again as those that smoothing left; itself if they were not smoothed."""
-        if not any(self.input_noise):
+        if not self.disturbed:
             return self
-        voltage, load = (
-            smoothed(y + sd * rng.standard_normal(len(y)), sd)
-            for y, sd in zip(
-                (self.inputs.voltage_V, self.inputs.load_torque_Nm), self.input_noise, strict=True
-            )
-        )
+        stirred = []
+        shown = (self.inputs.voltage_V, self.inputs.load_torque_Nm)
+        for y, sd, step in zip(shown, self.input_noise, self.input_step, strict=True):
+            noisy = y + sd * rng.standard_normal(len(y))
+            if step:
+                # The same converter with its levels shifted: errors that last as long as a level is held.
+                shift = step * rng.uniform(-0.5, 0.5)
+                noisy = np.round((noisy + shift) / step) * step - shift
+            stirred.append(smoothed(noisy, sd) if sd else noisy)
+        voltage, load = stirred
         return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
 
     def fresh(self) -> NDArray[np.bool_]:
@@ -153,4 +164,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     angle = recording.channels.get("angle")
     if angle is not None and not np.isfinite(angle).all():
         angle = None
-    return Run(recording.name, inputs, used, measured, valid, every, start, known, floor, angle)
+    coarse = (quantisation_step(inputs.voltage_V), quantisation_step(inputs.load_torque_Nm))
+    return Run(
+        recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse
+    )
