@@ -10,6 +10,7 @@ defaults where it has any. Peers: pip install torch-levenberg-marquardt pytorch-
 """
 
 import argparse
+import contextlib
 import json
 import os
 import resource
@@ -244,7 +245,6 @@ def scikit_learn(x: np.ndarray, y: np.ndarray, report: Report) -> None:
 
 
 def pyrenn(x: np.ndarray, y: np.ndarray, report: Report) -> None:
-    import contextlib
     import io
 
     import pyrenn as prn
@@ -314,7 +314,9 @@ def race(
             if reports[-1][0] > budget_s or reports[-1][1] <= level:
                 break
     process.kill()
-    os.killpg(limit.pid, 15)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(limit.pid, 15)
+    limit.wait()
     complaint = process.stderr.read().strip().splitlines()
     process.wait()
     return reports, complaint[-1][:90] if complaint and not reports else ""

@@ -100,7 +100,9 @@ def build(
         checkpoint=checkpoint,
     )
     # The file holds float32 numbers; the sensor is what the file holds.
-    network = replace(found.network, hidden=_single(found.network.hidden), output=_single(found.network.output))
+    network = replace(
+        found.network, hidden=_single(found.network.hidden), output=_single(found.network.output)
+    )
     trained = replace(found, network=network)
     exact = LastLayer.of(trained, DIRECTIONS)
     posterior = LastLayer(_single(exact.basis), _single(exact.variances))
@@ -125,9 +127,7 @@ def build(
             head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
     else:
         head = np.zeros((len(recipe.outputs), width))
-        head[:, 0] = np.log(
-            _crossed_errors(recipe, fitted) / trained.targets.deviation.numpy() ** 2 + 1e-10
-        )
+        head[:, 0] = np.log(_crossed_errors(recipe, fitted) / trained.targets.deviation.numpy() ** 2 + 1e-10)
     sensor = replace(silent, noise=_single(torch.from_numpy(head)), frame=frame)
     return Built(sensor, trained, _card(recipe, sensor, trained, training, unseen))
 
@@ -200,7 +200,9 @@ def _locked(sensor: Sensor, time: Array, voltage: Array) -> tuple[Array, Array]:
         dt = time[k] - time[k - 1]
         lag = L / R * (voltage[k] - voltage[k - 1]) / R / dt
         settled = voltage[k] / R - lag
-        current[k] = settled + (current[k - 1] - voltage[k - 1] / R + lag) * np.exp(-R * dt / L) if L > 0 else settled
+        current[k] = (
+            settled + (current[k - 1] - voltage[k - 1] / R + lag) * np.exp(-R * dt / L) if L > 0 else settled
+        )
     return voltage, np.round(current, 4)
 
 
@@ -225,7 +227,9 @@ def _worth(sensor: Sensor, calibration: Sequence[Cycle]) -> Sensor:
     y = np.concatenate([c.y for c in calibration])
     found = np.concatenate([sensor.evaluate(c.x)[0] for c in calibration])
     weight = 1 / (1 + y**2)
-    share = torch.from_numpy(np.clip((weight * y * found).sum(0) / ((weight * found**2).sum(0) + 1e-12), 0.0, 1.0))
+    share = torch.from_numpy(
+        np.clip((weight * y * found).sum(0) / ((weight * found**2).sum(0) + 1e-12), 0.0, 1.0)
+    )
     network = replace(sensor.network, output=_single(sensor.network.output * share[:, None]))
     return replace(sensor, network=network, targets=replace(sensor.targets, mean=sensor.targets.mean * share))
 

@@ -66,7 +66,9 @@ def step_graph(sensor: Sensor, metadata: Mapping[str, str]) -> bytes:
     parts = [stack, state, graph.exact([0.0])]
     if bank.observer:
         ambient = "ambient" if bank.ambient else graph.exact([bank.observer.ambient_C])
-        outputs_seen, after = observer_nodes(graph, bank.observer, "voltage", "current", ambient, "dt", observed)
+        outputs_seen, after = observer_nodes(
+            graph, bank.observer, "voltage", "current", ambient, "dt", observed
+        )
         graph.add("Concat", [state, after], "next_state", axis=0)
         parts.append(outputs_seen)
     everything = graph.add("Concat", parts, axis=0)

@@ -91,7 +91,9 @@ def run(arguments: argparse.Namespace) -> int:
         from motorlens_train.c_header import c_header
 
         name = re.sub(r"\W", "_", output.stem)
-        Path(arguments.c_header).write_text(c_header(built.sensor, f"s_{name}" if name[:1].isdigit() else name), encoding="utf-8")
+        Path(arguments.c_header).write_text(
+            c_header(built.sensor, f"s_{name}" if name[:1].isdigit() else name), encoding="utf-8"
+        )
     print(
         f"{output}: {card['network']}, {card['parameters']} parameters, {output.stat().st_size / 1000:.1f} kB"
     )
