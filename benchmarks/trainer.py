@@ -235,9 +235,14 @@ def scikit_learn(x: np.ndarray, y: np.ndarray, report: Report) -> None:
     from sklearn.neural_network import MLPRegressor
 
     warnings.simplefilter("ignore")
-    # Continued by warm starts of ten iterations; each continuation costs a new history, but there is no callback.
+    # Continued by warm starts of fifty iterations; each continuation costs a new history, but there is no callback.
     model = MLPRegressor(
-        HIDDEN, activation="tanh", solver="lbfgs", max_iter=50, warm_start=True, random_state=1
+        hidden_layer_sizes=HIDDEN,
+        activation="tanh",
+        solver="lbfgs",
+        max_iter=50,
+        warm_start=True,
+        random_state=1,
     )
     while True:
         model.fit(x, y)
