@@ -131,7 +131,7 @@ def _electrical(file: MotorFile, recording: Recording) -> tuple[Array, Array, Ar
 
 def _mechanical(file: MotorFile, recording: Recording) -> tuple[Array, Array, Array]:
     m, x, t = file.motor, _channels(file, recording), recording.time_s
-    e = _windows(recording, m.R_a0 * m.J / m.ke**2)
+    e = _windows(recording, m.R_a0 * m.J / m.ke**2 / 4)
     load = recording.channels.get("load_torque")
     torque = _integral(t, m.ke * x["i"] - (0.0 if load is None else load), e)
     nuisance = np.zeros((len(e) - 1, 0)) if load is not None else _integral(t, np.ones_like(t), e)[:, None]
