@@ -240,7 +240,11 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
 
 def _error_of(found: Fit, run: Run, way: Run, held: bool, r: int) -> float:
     """Whitened sum of squares of a run with its inputs taken another way."""
-    model = replace(found.model, held=tuple(held if k == r else h for k, h in enumerate(found.model.held)))
+    # Without the skews, which have made up for the wrong way by half a sample.
+    straight = {key: 0.0 for key in found.prior.keys if key.startswith("skew.")}
+    model = replace(
+        found.model, held=tuple(held if k == r else h for k, h in enumerate(found.model.held))
+    ).with_values(straight)
     try:
         residual = way.average(way.measured - predict(model, way, r)[1])
     except ModelError:
