@@ -108,6 +108,7 @@ def _overlays(found: Finding) -> list[Picture]:
                 )
             axes = {"gridcolor": "#eaeef2", "zerolinecolor": "#9aa3af"}
             layout = {
+                "xaxis": {**axes, "title": {"text": "time, s"}, "anchor": "y2"},
                 "yaxis": {**axes, "title": {"text": f"{channel}, {UNIT_OF[channel]}"}, "domain": [0.36, 1]},
                 "yaxis2": {**axes, "title": {"text": "error"}, "domain": [0, 0.28]},
             }
