@@ -1,8 +1,9 @@
-"""Write two recordings of a motor with something in it that its motor file does not know. Do not read on if you want to find it.
+"""Write two recordings of a motor with something in it that its motor file does not know.
 
     python examples/hidden_effect/make_recordings.py /tmp/riddle [SEED]
 
-`day1.csv` and `day2.csv` are load steps at several voltages, noise included; `motor.toml` is the datasheet, off by 10 to 20 %.
+`day1.csv` and `day2.csv` are load steps at several voltages, noise included; `motor.toml` is the datasheet, off by up to
+15 %. Do not read on if you want to find it.
 """
 
 import sys
@@ -26,6 +27,7 @@ HIDDEN = {
 
 
 def main(folder: Path, seed: int) -> None:
+    """Draw what is hidden, and write the files."""
     file = read_motor_file(Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml")
     rng = np.random.default_rng(seed)
     name = str(rng.choice(sorted(HIDDEN)))
