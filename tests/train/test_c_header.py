@@ -5,9 +5,11 @@ import subprocess
 
 import numpy as np
 import pytest
-from helpers.duty import measured_duty
+from helpers.duty import MELLAH, measured_duty
 from helpers.sensors import small_sensor
 
+from motorlens_runtime.cli import main
+from motorlens_runtime.sensor import load_sensor
 from motorlens_train.c_header import c_header
 from motorlens_train.features import feature_rows
 
@@ -82,3 +84,15 @@ def test_the_header_allocates_nothing_and_includes_only_math():
     header = c_header(small_sensor(True).sensor, "s")
     assert [line for line in header.splitlines() if line.startswith("#include")] == ["#include <math.h>"]
     assert "malloc" not in header and "printf" not in header
+
+
+def test_the_train_command_writes_sensor_and_header(tmp_path):
+    motor = tmp_path / "motor.toml"
+    motor.write_text(MELLAH.text)
+    status = main(
+        ["train", "--motor", str(motor), "--observer", str(motor), "--cycles", "10", "--rate", "100", "--iterations", "4",
+         "-o", str(tmp_path / "a-b.onnx"), "--c-header", str(tmp_path / "a.h")]
+    )  # fmt: skip
+    assert status == 0
+    assert "a_b_step" in (tmp_path / "a.h").read_text()
+    assert load_sensor(tmp_path / "a-b.onnx").specification.observer is not None

@@ -29,9 +29,10 @@ from motorlens_train.observer_program import Program, Recorder, Value, record
 from motorlens_train.specification import Bank, Feature
 
 # No observer is better than this share of the rating plate; below it, its sureness says nothing.
-FLOOR = {"speed": 1e-3, "temperature": 3e-3, "resistance": 3e-3}
-# Samples further apart than this many windows are a gap.
-GAP = 50
+FLOOR = {"speed": 1e-3, "temperature": 7e-3, "resistance": 7e-3}
+# Samples further apart than GAP windows are a gap; a current is followed as it bends over up to BENT windows. No round
+# numbers: which side of them a step falls on must not hang on the last bit of a clock.
+GAP, BENT = 50.37, 3.37
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ class _Design:
         R = m.resistance(self.start[self.at["theta"]])
         turns = h * (mean * (m.ke / m.J) + drag)
         unsteady = (v - v_old) - R * (i - i_old) - m.ke * turns
-        bend = (h <= 3 * self.period).select(_bend(r, h, m.L / R) * unsteady * (1 / R) * alive, 0.0)
+        bend = (h <= BENT * self.period).select(_bend(r, h, m.L / R) * unsteady * (1 / R) * alive, 0.0)
         return r.program([
             alive + first, v, i, drag, i_start + first * i, time + h, sum_v + h * 0.5 * (v + v_old), sum_i + h * mean,
             sum_ii + h * mean_square, sum_b + h * bend, sum_hh + h * h, sum_c + h * h * change,
