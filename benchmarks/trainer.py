@@ -10,7 +10,6 @@ defaults where it has any. Peers: pip install torch-levenberg-marquardt pytorch-
 """
 
 import argparse
-import contextlib
 import json
 import os
 import subprocess
@@ -250,6 +249,7 @@ def scikit_learn(x: np.ndarray, y: np.ndarray, report: Report) -> None:
 
 
 def pyrenn(x: np.ndarray, y: np.ndarray, report: Report) -> None:
+    import contextlib
     import io
 
     import pyrenn as prn
@@ -318,9 +318,8 @@ def race(
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     reports: list[list[float]] = []
-    limit = subprocess.Popen(
-        ["sh", "-c", f"sleep {4 * budget_s}; kill {process.pid} 2>/dev/null"], start_new_session=True
-    )
+    limit = threading.Timer(4 * budget_s, process.kill)
+    limit.start()
     assert process.stdout is not None and process.stderr is not None
     for line in process.stdout:
         if line.startswith("["):
@@ -328,9 +327,7 @@ def race(
             if reports[-1][0] > budget_s or reports[-1][1] <= level:
                 break
     process.kill()
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(limit.pid, 15)
-    limit.wait()
+    limit.cancel()
     complaint = process.stderr.read().strip().splitlines()
     process.wait()
     return reports, complaint[-1][:90] if complaint and not reports else ""
