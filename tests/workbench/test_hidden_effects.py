@@ -1,8 +1,6 @@
-"""The blind benchmark in small: 60 short cases that `motorlens diagnose` has not seen, and the seal of the plans.
+"""The blind benchmark in small: short cases that `motorlens diagnose` was not tuned on, and the seal of the plans.
 
-The plan of the subset has its own seed; the truth of its cases (sizes are costly to find) is kept beside the benchmark.
-Rates of 60 cases are coarse: the bounds below are the goals widened to what 60 short records can tell, and the benchmark
-(benchmarks/hidden_effects.py) gives the figures proper.
+The plan of the subset has its own seed; the truth of its 60 cases (sizes are costly to find) is kept beside the benchmark.
 """
 
 import hashlib
@@ -22,8 +20,11 @@ from helpers.hidden import score as scoring
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 
-# Of 15 cases with nothing hidden, of 60 cases, of those at 3 times the detectable size, of the separable, of the outsiders.
-MOST_ALARMS, MOST_WRONG, MOST_MISSED, MOST_OTHER, MOST_NAMED = 0, 2, 1, 1, 1
+# Every fifth of the sixty runs here; `python benchmarks/hidden_effects.py run --split subset --n 60 --small` does them all.
+# The goals of the project are in the benchmark's table. What stands here is what these twelve gave when they were last
+# measured: a change that gives less has broken something, one that gives more is to move the bound.
+SHARE = 5
+MOST_ALARMS, MOST_WRONG, MOST_MISSED, MOST_OTHER, MOST_NAMED = 0, 1, 1, 1, 0
 
 
 def _truths() -> list[dict[str, Any]]:
@@ -48,7 +49,7 @@ def _diagnosed(work: tuple[dict[str, Any], str]) -> scoring.Row:
 def rows(tmp_path_factory: pytest.TempPathFactory) -> list[scoring.Row]:
     scratch = str(tmp_path_factory.mktemp("hidden"))
     with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=_single_threaded) as pool:
-        return list(pool.map(_diagnosed, [(truth, scratch) for truth in _truths()]))
+        return list(pool.map(_diagnosed, [(truth, scratch) for truth in _truths()[::SHARE]]))
 
 
 def _single_threaded() -> None:
@@ -111,7 +112,7 @@ def test_names_given_with_confidence_are_right(rows: list[scoring.Row]) -> None:
 def test_what_is_there_is_found(rows: list[scoring.Row]) -> None:
     strong = [row for row in rows if scoring.strong(row)]
     missed = [row[0]["case"]["id"] for row in strong if not scoring.detected(row[1])]
-    assert len(strong) >= 25
+    assert len(strong) >= 6
     assert len(missed) <= MOST_MISSED, missed
 
 
@@ -123,7 +124,7 @@ def test_the_right_name_comes_first_where_the_channels_separate_it(rows: list[sc
     other = [
         row[0]["case"]["id"] for row in fair if scoring.named_first(row[1]) != row[0]["hidden"][0]["name"]
     ]
-    assert len(fair) >= 8
+    assert len(fair) >= 3
     assert len(other) <= MOST_OTHER, other
 
 
@@ -131,7 +132,7 @@ def test_the_right_name_comes_first_where_the_channels_separate_it(rows: list[sc
 def test_what_is_in_no_catalogue_gets_no_name(rows: list[scoring.Row]) -> None:
     outside = [row for row in rows if row[0]["kind"] == "outside" and scoring.strong(row)]
     named = [row[0]["case"]["id"] for row in outside if (row[1] or {}).get("verdict") != "unknown"]
-    assert len(outside) >= 7
+    assert len(outside) >= 1
     assert len(named) <= MOST_NAMED, named
 
 
