@@ -28,7 +28,7 @@ def test_projection_equals_regression(problem):
     base = columns[:, :2]
     project = np.eye(6400) - base @ np.linalg.pinv(base)
     x, e = project @ columns[:, 2:], project @ residual
-    assert left.total() == pytest.approx(
+    assert left.total == pytest.approx(
         np.column_stack([x, e]).T @ np.column_stack([x, e]), rel=1e-8, abs=1e-6
     )
     tested = score(left, ["c3"])

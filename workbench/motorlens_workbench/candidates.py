@@ -77,7 +77,7 @@ def candidates(
         if effect.name() in present:
             continue
         variants = tuple(shapes(effect, file))
-        found.append(Candidate(effect.name(), "effect", _equation(effect), variants))
+        found.append(Candidate(effect.name(), "effect", equation_of(effect), variants))
     for name, sensor in sensor_catalogue().items():
         if name not in present and sensor.channel in (*channels, *inputs):
             found.append(Candidate(name, "sensor", sensor.channel, ((sensor.typical(file.rated),),)))
@@ -118,7 +118,8 @@ def _within(bounds: tuple[float, float], value: float) -> float:
     return min(max(value, bounds[0]), bounds[1])
 
 
-def _equation(effect: type[Effect]) -> str:
+def equation_of(effect: type[Effect]) -> str:
+    """Which equation an effect enters: electrical, mechanical, thermal, or coupling for both of the first."""
     defines = [
         b for b in ("voltage", "torque", "heat", "inductance") if getattr(effect, b) is not getattr(Effect, b)
     ]
@@ -129,7 +130,7 @@ def _equation(effect: type[Effect]) -> str:
 
 @dataclass(frozen=True)
 class Forcing:
-    """What is added to the three balances, (N,) each: V, N m, W."""
+    """What is added to the three balances, (N,) or (N, k) each: V, N m, W."""
 
     voltage: Array
     torque: Array
@@ -218,20 +219,48 @@ class Curve:
     against: str
     knots: Array
 
+    @property
+    def equation(self) -> str:
+        """Which equation it stands in."""
+        return EQUATIONS[self.balance]
+
+    @property
+    def term(self) -> str:
+        """What it is the course of."""
+        return self.balance
+
+    @property
+    def unit(self) -> str:
+        """Of its values."""
+        return UNITS[self.balance]
+
     def columns(self) -> list[str]:
         """Names of the columns."""
         return [f"curve.{self.balance}.{self.against}.{k}" for k in range(len(self.knots))]
 
-    def hats(self, z: Array) -> Array:
-        """(N, k) hat functions, which sum to one between the outer knots; constant beyond."""
-        clipped = np.clip(z, self.knots[0], self.knots[-1])
-        out = np.zeros((len(z), len(self.knots)))
-        right = np.clip(np.searchsorted(self.knots, clipped, side="right"), 1, len(self.knots) - 1)
-        share = (clipped - self.knots[right - 1]) / (self.knots[right] - self.knots[right - 1])
-        rows = np.arange(len(z))
-        out[rows, right - 1] = 1 - share
-        out[rows, right] += share
-        return out
+    def forcing(self, trajectory: Trajectory, angle: Array) -> "Forcing":
+        """What a unit at each knot adds to the balances, (N, k) each; `angle` is the shaft's within a revolution."""
+        hats = hat_functions(
+            self.knots, angle if self.against == "angle" else variables(trajectory)[self.against]
+        )
+        still = np.zeros_like(hats)
+        return Forcing(**{"voltage": still, "torque": still, "heat": still, self.balance: hats})
+
+
+def hat_functions(knots: Array, z: Array) -> Array:
+    """(N, k) hat functions, which sum to one between the outer knots; constant beyond.
+
+    >>> hat_functions(np.array([0.0, 1.0, 2.0]), np.array([0.25, 5.0])).tolist()
+    [[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]]
+    """
+    clipped = np.clip(z, knots[0], knots[-1])
+    out = np.zeros((len(z), len(knots)))
+    right = np.clip(np.searchsorted(knots, clipped, side="right"), 1, len(knots) - 1)
+    share = (clipped - knots[right - 1]) / (knots[right] - knots[right - 1])
+    rows = np.arange(len(z))
+    out[rows, right - 1] = 1 - share
+    out[rows, right] += share
+    return out
 
 
 def knots_of(samples: Array, count: int) -> Array | None:

@@ -60,3 +60,15 @@ def _one_sided(y: Array, sd: float) -> tuple[Array, Array]:
         value = np.where(going, here, value)
         variance = np.where(going, share, variance)
     return value, variance
+
+
+def moving_mean(time_s: Array, y: Array, width_s: float) -> Array:
+    """(N,) mean of the samples within half a width to either side; fewer at the ends.
+
+    >>> moving_mean(np.arange(5.0), np.array([0.0, 0.0, 5.0, 0.0, 0.0]), 2.0).round(3).tolist()
+    [0.0, 1.667, 1.667, 1.667, 0.0]
+    """
+    sums = np.concatenate([[0.0], np.cumsum(y)])
+    first = np.searchsorted(time_s, time_s - width_s / 2, side="left")
+    last = np.searchsorted(time_s, time_s + width_s / 2, side="right")
+    return np.asarray((sums[last] - sums[first]) / (last - first))

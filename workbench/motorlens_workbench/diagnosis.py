@@ -12,19 +12,27 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.candidates import Candidate, Curve, candidates, curves
-from motorlens_workbench.evidence import Evidence, curve_gain, score, statistics
-from motorlens_workbench.fitting import Fit, base_prior, fit, noise_of, plain_noise, squares, start_model
+from motorlens_workbench.candidates import Candidate, candidates, curves
+from motorlens_workbench.evidence import Evidence, statistics
+from motorlens_workbench.fitting import (
+    Fit,
+    base_prior,
+    fit,
+    noise_of,
+    plain_noise,
+    squares,
+    start_model,
+)
+from motorlens_workbench.input_errors import without_input_errors
+from motorlens_workbench.leftover import BALANCES, Bend, leftover
 from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import Run, prepare
 from motorlens_workbench.screen import (
     Columns,
     Line,
     all_columns,
-    columns_of,
     evidence_of,
     unexplained,
     with_priors,
@@ -45,34 +53,6 @@ from motorlens_workbench.selection import (
 Array = NDArray[np.float64]
 
 MOST = 3
-# How often the inputs are disturbed to see what that alone would feign.
-DRAWS = 3
-# Standard deviations beyond chance at which a free curve counts.
-BENT = 8.0
-BALANCES = ("voltage", "torque", "heat")
-
-
-@dataclass(frozen=True)
-class Bend:
-    """A free curve against what is left: how much it would explain.
-
-    Attributes:
-        curve: the curve.
-        gain: fall of the whitened sum of squares beyond chance.
-        deviations: how many standard deviations that is.
-        knots: (k,) those of its knots that the data know.
-        best: the robust statistic of its strongest single knot.
-        value: (k,) the curve there, in the unit of its balance.
-        sd: (k,) its standard deviation.
-    """
-
-    curve: Curve
-    gain: float
-    deviations: float
-    best: float
-    knots: Array
-    value: Array
-    sd: Array
 
 
 @dataclass(frozen=True)
@@ -84,7 +64,6 @@ class Look:
         evidence: all columns.
         left: what the fitted parameters leave.
         tests: every candidate.
-        bends: every free curve, the strongest first.
         decoy: the best statistic that a decoy reaches.
         noise: (C,) per run, standard deviation of what nothing explains.
         columns: unwhitened, per run.
@@ -95,7 +74,6 @@ class Look:
     evidence: Evidence
     left: Evidence
     tests: dict[str, Test]
-    bends: list[Bend]
     decoy: float
     noise: tuple[Array, ...]
     columns: list[Columns]
@@ -140,6 +118,8 @@ class Finding:
         steps: effects accepted, in order.
         last: the screen from the final model.
         failed: candidates whose refit did not do what the screen promised.
+        whole: free curves that explain what the base model lacks, if any is left in the end; the strongest first.
+        left: free curves that explain what the final model lacks.
     """
 
     runs: tuple[Run, ...]
@@ -148,6 +128,8 @@ class Finding:
     steps: tuple[Step, ...]
     last: Look
     failed: tuple[str, ...]
+    whole: tuple[Bend, ...] = ()
+    left: tuple[Bend, ...] = ()
 
 
 def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> Look:
@@ -160,27 +142,14 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     columns, lines = all_columns(found, runs, listed, free)
     rest, spent = unexplained(columns, runs, plain_noise(found.residuals, runs), found.prior.keys)
     whiteners = noise_of(rest, runs, spent)
-    evidence = with_priors(evidence_of(columns, runs, whiteners), found)
+    evidence = evidence_of(columns, runs, whiteners)
+    evidence = without_input_errors(evidence, found, runs, whiteners, listed, free, with_decoys=True)
+    evidence = with_priors(evidence, found)
     found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
     left = evidence.given(found.prior.keys)
     tests = test_all(left, listed, found.model)
     noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
-    return Look(found, evidence, left, tests, bends_of(left, free), decoy_of(left), noise, columns, lines)
-
-
-def bends_of(left: Evidence, free: Sequence[Curve]) -> list[Bend]:
-    """Every free curve against what is left, the strongest first."""
-    found = []
-    single = dict(zip(left.names, statistics(left).tolist(), strict=False))
-    for curve in free:
-        gain, deviations, tested = curve_gain(left, curve.columns())
-        if tested is None:
-            continue
-        at = [int(name.rpartition(".")[2]) for name in tested.names]
-        spread = np.sqrt(np.maximum(np.diagonal(tested.covariance), 0))
-        best = max(single[name] for name in tested.names)
-        found.append(Bend(curve, gain, deviations, best, curve.knots[at], tested.coefficient, spread))
-    return sorted(found, key=lambda bend: -bend.gain)
+    return Look(found, evidence, left, tests, decoy_of(left), noise, columns, lines)
 
 
 def investigate(
@@ -210,9 +179,10 @@ def investigate(
         steps.append(step)
         say(f"screening again with {step.test.candidate.name}")
         current = look(step.found, runs, own)
-    last = sober(current, runs)
-    first = last if not steps else sober(first, runs)
-    return Finding(runs, base, first, tuple(steps), last, tuple(failed))
+    say("looking at what is left")
+    left = leftover(current.found, runs, current.decoy)
+    whole = leftover(first.found, runs, first.decoy) if steps and left else left
+    return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left))
 
 
 def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]]:
@@ -258,100 +228,10 @@ def decoy_of(left: Evidence) -> float:
     return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)
 
 
-def _believable(bend: Bend, rated: Rated) -> bool:
-    """Whether a curve stays within what such a term can be: rated voltage and torque, a few times the rated power."""
-    limit = {
-        "voltage": rated.voltage_V,
-        "torque": rated.torque_Nm,
-        "heat": 3 * rated.voltage_V * rated.current_A,
-    }
-    sure = np.abs(bend.value) > 3 * bend.sd
-    return bool(np.median(np.abs(bend.value[sure])) < limit[bend.curve.balance]) if sure.any() else True
-
-
 def threshold(now: Look, test: Test) -> float:
     """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
     labels = test.candidate.columns()[test.variant]
     return max(REAL, 2.0 * decoy_of(now.left.given(labels)))
-
-
-def stirred(
-    now: Look, runs: Sequence[Run], listed: Sequence[Candidate], free: Sequence[Curve], draw: int
-) -> Evidence | None:
-    """What the errors of the measured inputs alone would leave to candidates and curves; None if they were not smoothed.
-
-    Those errors drive the simulation but not the motor, and are in residual and columns alike (errors in variables). The
-    present model is taken for the truth, its inputs are disturbed as much again, and the test is repeated.
-    """
-    if not any(run.disturbed for run in runs):
-        return None
-    found, rng = now.found, np.random.default_rng(draw)
-    moved = [run.stirred(rng) for run in runs]
-    columns = []
-    for r, (run, other) in enumerate(zip(runs, moved, strict=True)):
-        truth = run.average(predict(found.model, run, r)[1])
-        one, _ = columns_of(
-            found.model, other, r, found.prior.keys, dict(found.prior.sd), listed, free, False
-        )
-        columns.append(replace(one, residual=truth - (other.average(other.measured) - one.residual)))
-    evidence = evidence_of(columns, moved, found.whiteners).with_prior(
-        {}, {key: 1.0 for key in found.prior.keys}
-    )
-    return evidence.given(found.prior.keys)
-
-
-def spurious(now: Look, runs: Sequence[Run], listed: Sequence[Test]) -> dict[str, float]:
-    """The statistic that the errors of the measured inputs alone would give each candidate."""
-    found: dict[str, float] = {}
-    for draw in range(DRAWS):
-        left = stirred(now, runs, [test.candidate for test in listed], (), draw)
-        if left is None:
-            return {}
-        for test in listed:
-            tested = score(left, test.candidate.columns()[test.variant])
-            # In the unit of the real test: what the bias squared is worth against the real scatter.
-            worth = tested.gain / test.score.inflation if tested and test.score else 0.0
-            found[test.candidate.name] = max(found.get(test.candidate.name, 0.0), worth)
-    return found
-
-
-def sober(now: Look, runs: Sequence[Run]) -> Look:
-    """The screen with only those free curves that are beyond chance, and beyond what errors of the inputs would bend."""
-    real = [
-        bend
-        for bend in now.bends
-        if bend.deviations > BENT
-        and _believable(bend, now.found.model.file.rated)
-        and bend.gain > 2 * max(REAL, now.decoy)
-        and bend.best > max(REAL, 3 * now.decoy)
-    ]
-    if not real:
-        return replace(now, bends=[])
-    standing = sorted(now.tests.values(), key=lambda test: -test.statistic)[:6]
-    standing = [test for test in standing if test.statistic > REAL]
-    false_names = [name for name, value in spurious(now, runs, standing).items() if value > REAL / 4]
-    if false_names:
-        # What errors of the inputs feign is no shape of a missing term either.
-        labels = [
-            k for name in false_names for k in now.tests[name].candidate.columns()[now.tests[name].variant]
-        ]
-        again = {
-            bend.curve.columns()[0]: bend
-            for bend in bends_of(now.left.given(labels), [b.curve for b in real])
-        }
-        real = [bend for bend in (again.get(b.curve.columns()[0]) for b in real) if bend and bend.best > REAL]
-    for draw in range(DRAWS if real else 0):
-        left = stirred(now, runs, (), [bend.curve for bend in real], draw)
-        if left is None:
-            break
-        false = {bend.curve.columns()[0]: bend for bend in bends_of(left, [bend.curve for bend in real])}
-        kept = []
-        for bend in real:
-            chance = false.get(bend.curve.columns()[0])
-            if chance is None or (bend.gain > 4 * chance.gain and bend.best > 4 * chance.best):
-                kept.append(bend)
-        real = kept
-    return replace(now, bends=real)
 
 
 def advance(
@@ -363,14 +243,7 @@ def advance(
     for _ in range(3):
         standing = [t for t in tests.values() if t.statistic > REAL and t.gain > WORTH * now.samples]
         standing.sort(key=lambda test: -test.statistic)
-        false = spurious(now, runs, standing[:8]) if standing else {}
-        # A bias adds to the size: it must be small beside it.
-        standing = [
-            test
-            for test in standing[:8]
-            if np.sqrt(test.statistic) - 2 * np.sqrt(false.get(test.candidate.name, 0.0))
-            > np.sqrt(threshold(now, test))
-        ]
+        standing = [test for test in standing[:8] if test.statistic > threshold(now, test)]
         if not standing:
             return None, broken
         best = max(standing, key=lambda test: test.statistic)

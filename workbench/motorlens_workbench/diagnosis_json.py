@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from motorlens_workbench.candidates import Curve
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.experiments import Experiment
 from motorlens_workbench.selection import Test
-from motorlens_workbench.verdict import Verdict, held_out, noise_floor, sizes, unit_of
+from motorlens_workbench.variation import Variation
+from motorlens_workbench.verdict import Verdict, held_out, noise_floor, sizes
 
 SHOWN = 12
 
@@ -38,8 +40,8 @@ def to_json(
     if verdict.shape is not None:
         bend = verdict.shape
         document["unknown_shape"] = {
-            "against": bend.curve.against, "x": bend.knots.tolist(), "y": bend.value.tolist(), "sd": bend.sd.tolist(),
-            "unit": unit_of(bend),
+            "term": bend.curve.term, "against": bend.curve.against, "unit": bend.curve.unit,
+            "x": bend.knots.tolist(), "y": bend.value.tolist(), "sd": bend.sd.tolist(),
         }  # fmt: skip
     return document
 
@@ -120,11 +122,17 @@ def sentence(found: Finding, verdict: Verdict) -> str:
         assert verdict.shape is not None
         return (
             f"Something is missing in the {verdict.equation} equation that is in no catalogue; "
-            f"it is shown against {verdict.shape.curve.against}, in {unit_of(verdict.shape)}."
+            f"{_shape(verdict.shape.curve)}."
         )
     if verdict.kind == "not_testable":
         return "These recordings cannot show whether anything is missing: no effect of plausible size would have been seen."
     return "Nothing is missing above the sizes listed: larger effects would have been seen."
+
+
+def _shape(curve: Curve | Variation) -> str:
+    if isinstance(curve, Variation):
+        return f"{curve.parameter} is no constant but changes with {curve.against}, in {curve.unit}"
+    return f"it is shown against {curve.against}, in {curve.unit}"
 
 
 def _size(found: Finding, name: str) -> str:

@@ -30,6 +30,7 @@ UNIT_AGAINST = {
     "temperature": "K above ambient",
     "time": "s",
     "angle": "rad",
+    "travel": "rad since the last reversal",
 }
 # As many candidates as fit into a picture.
 SHOWN = 16
@@ -66,7 +67,6 @@ def _next_step(document: dict[str, Any]) -> list[str]:
 def _shape(verdict: Verdict) -> Picture:
     bend = verdict.shape
     assert bend is not None
-    unit = {"voltage": "V", "torque": "N*m", "heat": "W"}[bend.curve.balance]
     traces = band(
         bend.knots,
         bend.value - 1.645 * bend.sd,
@@ -76,7 +76,9 @@ def _shape(verdict: Verdict) -> Picture:
     )
     traces.append(line(bend.knots, bend.value, "missing term", LACKING, 2.0))
     drawn = figure(
-        traces, f"{bend.curve.against}, {UNIT_AGAINST[bend.curve.against]}", f"{bend.curve.balance}, {unit}"
+        traces,
+        f"{bend.curve.against}, {UNIT_AGAINST[bend.curve.against]}",
+        f"{bend.curve.term}, {bend.curve.unit}",
     )
     return Picture(
         drawn,

@@ -12,6 +12,7 @@ doi:10.1111/j.1468-0262.2005.00615.x.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,9 +65,28 @@ class Evidence:
             samples=np.append(self.samples, 0.0),
         )
 
+    def less(self, feigned: Array) -> "Evidence":
+        """Without what errors of the measured inputs put into the residual's products.
+
+        Args:
+            feigned: (D, M) products of every column with the residual, drawn D times; their mean is taken out, and their
+                scatter is left between blocks, so that every test knows how well that mean is known.
+        """
+        mean = feigned.mean(axis=0)
+        draws = len(feigned)
+        share = self.samples / self.samples.sum()
+        taken = self.blocks.copy()
+        taken[:, :-1, -1] -= share[:, None] * mean[:-1]
+        taken[:, -1, :-1] -= share[:, None] * mean[:-1]
+        scatter = np.zeros((draws, *self.blocks.shape[1:]))
+        scatter[:, :-1, -1] = scatter[:, -1, :-1] = (feigned - mean)[:, :-1] / draws
+        return replace(
+            self, blocks=np.concatenate([taken, scatter]), samples=np.append(self.samples, np.zeros(draws))
+        )
+
     def solve(self, names: Sequence[str]) -> tuple[Array, Array]:
         """Least squares on some columns: coefficients (k,) and covariance (k, k) for unit white noise."""
-        total = self.blocks.sum(axis=0)
+        total = self.total
         at = self.index(names)
         inverse = _inverse(total[np.ix_(at, at)])
         return inverse @ total[at, -1], inverse
@@ -77,7 +97,7 @@ class Evidence:
         rest = np.setdiff1d(np.arange(len(self.names)), at)
         if not len(at):
             return self
-        total = self.blocks.sum(axis=0)
+        total = self.total
         weights = _inverse(total[np.ix_(at, at)]) @ total[np.ix_(at, rest)]
         # blocks' = P^T blocks P with P = [-weights; I]
         inner = self.blocks[:, at[:, None], at[None, :]]
@@ -91,6 +111,7 @@ class Evidence:
         )
         return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest])
 
+    @cached_property
     def total(self) -> Array:
         """(M, M) sums over all blocks."""
         return np.asarray(self.blocks.sum(axis=0))
@@ -153,7 +174,7 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     Returns None if the columns are copies of accepted ones, so that nothing can be said about them.
     """
     at = left.index(names)
-    total = left.total()
+    total = left.total
     information = total[np.ix_(at, at)]
     free = float(np.min(np.diagonal(information) / np.maximum(left.power[at], 1e-300)))
     if free < COPY or not np.isfinite(information).all():
@@ -183,7 +204,7 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
 
 def statistics(left: Evidence) -> Array:
     """(M - 1,) the robust statistic of every single column at once; 0 for copies of what was projected out."""
-    total = left.total()
+    total = left.total
     power = np.diagonal(total)[:-1]
     known = power > COPY * np.maximum(left.power[:-1], 1e-300)
     safe = np.where(known, power, 1.0)
@@ -201,7 +222,7 @@ def statistics(left: Evidence) -> Array:
 def similarity(left: Evidence, names: Sequence[str]) -> Array:
     """(k, k) squared correlation of columns after projection: 1 means no data of this kind can tell them apart."""
     at = left.index(names)
-    inner = left.total()[np.ix_(at, at)]
+    inner = left.total[np.ix_(at, at)]
     scale = np.maximum(np.diagonal(inner), 1e-300)
     return np.asarray(inner**2 / np.outer(scale, scale))
 
@@ -214,7 +235,7 @@ def largest_by_chance(
     Every group is represented by its columns one at a time; the correlation between candidates is kept.
     """
     at = left.index([name for group in groups for name in group])
-    total = left.total()
+    total = left.total
     power = np.maximum(np.diagonal(total)[at], 1e-300)
     coefficient = total[at, -1] / power
     diagonal = left.blocks[:, at, at]

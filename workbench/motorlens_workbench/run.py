@@ -14,7 +14,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.denoise import noise_sd, smoothed
+from motorlens_workbench.denoise import moving_mean, noise_sd, smoothed
 from motorlens_workbench.whitening import quantisation_step
 
 Array = NDArray[np.float64]
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 STATE_OF = {"current": "i", "speed": "w", "temperature": "theta"}
 UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "V", "load_torque": "N*m"}
 ROWS = 30_000
+# The ambient temperature is averaged over this long.
+AMBIENT_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -95,17 +97,23 @@ class Run:
         """Whether the errors of its inputs are known to be worth a thought."""
         return any(self.input_noise) or any(self.input_step)
 
-    def stirred(self, rng: np.random.Generator) -> "Run":
-        """With errors of its inputs as large again as those that smoothing left; itself if they were not smoothed."""
+    def stirred(self, seed: int, sign: float) -> "Run":
+        """With errors of its inputs as large again as those that smoothing left; itself if they were not smoothed.
+
+        Args:
+            seed: of the errors.
+            sign: 1, or -1 for the same errors the other way.
+        """
         if not self.disturbed:
             return self
+        rng = np.random.default_rng(seed)
         stirred = []
         shown = (self.inputs.voltage_V, self.inputs.load_torque_Nm)
         for y, sd, step in zip(shown, self.input_noise, self.input_step, strict=True):
-            noisy = y + sd * rng.standard_normal(len(y))
+            noisy = y + sign * sd * rng.standard_normal(len(y))
             if step:
                 # The same converter with its levels shifted: errors that last as long as a level is held.
-                shift = step * rng.uniform(-0.5, 0.5)
+                shift = sign * step * rng.uniform(-0.5, 0.5)
                 noisy = np.round((noisy + shift) / step) * step - shift
             stirred.append(smoothed(noisy, sd) if sd else noisy)
         voltage, load = stirred
@@ -140,8 +148,10 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     valid = np.ones(rows, dtype=bool)
     floor = np.empty(len(used))
     start = {"i": 0.0, "w": 0.0, "theta": 0.0}
-    # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other.
-    ambient = smoothed(recording.channels.get("ambient", np.full(rows, file.rated.ambient_C)))
+    # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other, and a
+    # winding does not follow a draught.
+    ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
+    ambient = moving_mean(time, ambient, AMBIENT_S)
     every = max(1, -(-rows // ROWS))
     for k, channel in enumerate(used):
         y = recording.channels[channel]

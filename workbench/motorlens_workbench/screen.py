@@ -4,7 +4,7 @@ A column of the evidence is the change of all measured channels per typical size
 its balance), so that sizes read off it are in typical sizes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.sensitivity import linearise
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing, variables
+from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing
 from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 from motorlens_workbench.fitting import Fit, usable
 from motorlens_workbench.model import (
@@ -28,6 +28,7 @@ from motorlens_workbench.model import (
     with_sensor,
 )
 from motorlens_workbench.run import STATE_OF, Run
+from motorlens_workbench.variation import Variation
 from motorlens_workbench.whitening import Whitener
 
 Array = NDArray[np.float64]
@@ -43,19 +44,21 @@ class Columns:
 
     Attributes:
         names: of the columns.
-        values: (rows, C, m).
-        residual: (rows, C).
+        table: (rows, C, m + 1), the residual last.
     """
 
     names: tuple[str, ...]
-    values: Array
-    residual: Array
+    table: Array
 
-    def joined(self, names: Sequence[str], values: Array) -> "Columns":
-        """With further columns."""
-        return replace(
-            self, names=(*self.names, *names), values=np.concatenate([self.values, values], axis=2)
-        )
+    @property
+    def values(self) -> Array:
+        """(rows, C, m)."""
+        return self.table[:, :, :-1]
+
+    @property
+    def residual(self) -> Array:
+        """(rows, C)."""
+        return self.table[:, :, -1]
 
 
 @dataclass(frozen=True)
@@ -87,19 +90,13 @@ class Line:
 
     def of_forcings(self, forcings: Sequence[Forcing]) -> Array:
         """(rows, C, m) responses to m forcings."""
-        pieces = []
-        for k in range(0, len(forcings), CHUNK):
-            part = forcings[k : k + CHUNK]
-            pieces.append(
-                self.respond(
-                    np.column_stack([f.voltage for f in part]),
-                    np.column_stack([f.torque for f in part]),
-                    np.column_stack([f.heat for f in part]),
-                )
-            )
-        if not pieces:
+        if not forcings:
             return np.zeros((len(self.run), len(self.run.channels), 0))
-        return np.concatenate(pieces, axis=2)
+        return self.respond(
+            np.column_stack([f.voltage for f in forcings]),
+            np.column_stack([f.torque for f in forcings]),
+            np.column_stack([f.heat for f in forcings]),
+        )
 
     def of_effect(self, effects: Sequence[Effect]) -> Array:
         """(rows, C, m) what effects at their present sizes would change."""
@@ -123,13 +120,12 @@ class Line:
             still,
         )[:, :, 0]
 
-    def of_curve(self, curve: Curve, weight: Array | None = None) -> Array:
-        """(rows, C, k) responses to the hat functions of a free curve, optionally times a weight (N,)."""
-        z = self.angle() if curve.against == "angle" else variables(self.trajectory)[curve.against]
-        hats = curve.hats(z) if weight is None else curve.hats(z) * weight[:, None]
-        still = np.zeros_like(hats)
-        parts = {"voltage": still, "torque": still, "heat": still, curve.balance: hats}
-        return self.respond(parts["voltage"], parts["torque"], parts["heat"])
+    def of_curve(self, curve: Curve | Variation) -> Array:
+        """(rows, C, k) responses to the hat functions of a free curve."""
+        added = curve.forcing(
+            self.trajectory, self.angle() if curve.against == "angle" else self.run.inputs.time_s
+        )
+        return self.respond(added.voltage, added.torque, added.heat)
 
     def angle(self) -> Array:
         """(N,) shaft angle within a revolution: measured, or the integral of the measured or simulated speed."""
@@ -152,7 +148,7 @@ def columns_of(
     keys: Sequence[str],
     scales: dict[str, float],
     listed: Sequence[Candidate],
-    free_curves: Sequence[Curve],
+    free_curves: Sequence[Curve | Variation],
     with_decoys: bool = True,
 ) -> tuple[Columns, Line]:
     """All columns of one run.
@@ -170,33 +166,42 @@ def columns_of(
     mine = [key for key in keys if "@" not in key or key.endswith(f"@{r}")]
     _, y, derivative = sensitivities_of(model, run, r, mine)
     line = Line.of(model, run, r)
-    base = run.average(derivative) * np.array([scales[key] for key in mine])
-    rows = len(run)
-    full = np.zeros((rows, len(run.channels), len(keys)))
-    full[:, :, [keys.index(key) for key in mine]] = base
-    columns = Columns(tuple(keys), full, run.average(run.measured - y))
-    names: list[str] = []
-    effects: list[Effect] = []
-    for candidate in listed:
-        for variant, labels in zip(candidate.variants, candidate.columns(), strict=True):
-            for part, label in zip(variant, labels, strict=True):
-                if isinstance(part, Effect):
-                    names.append(label)
-                    effects.append(part)
-    columns = columns.joined(names, line.of_effect(effects))
-    for candidate in listed:
-        if candidate.kind == "sensor":
-            sensor = candidate.variants[0][0]
-            assert isinstance(sensor, SensorModel)
-            usable_here = sensor.channel in (*run.channels, "voltage", *run.known)
-            value = line.of_sensor(sensor) if usable_here else np.zeros((rows, len(run.channels)))
-            columns = columns.joined(candidate.columns()[0], value[:, :, None])
+    sensors = [candidate for candidate in listed if candidate.kind == "sensor"]
+    effects = {
+        label: part
+        for candidate in listed
+        for variant, labels in zip(candidate.variants, candidate.columns(), strict=True)
+        for part, label in zip(variant, labels, strict=True)
+        if isinstance(part, Effect)
+    }
+    false = decoys(line.trajectory) if with_decoys else {}
+    names = [*keys, *effects, *(candidate.columns()[0][0] for candidate in sensors)]
+    names += [label for curve in free_curves for label in curve.columns()]
+    names += false
+    table = np.zeros((len(run), len(run.channels), len(names) + 1))
+    table[:, :, [keys.index(key) for key in mine]] = run.average(derivative) * [scales[key] for key in mine]
+    at = len(keys)
+    for part in _chunks(list(effects.values())):
+        table[:, :, at : at + len(part)] = line.of_effect(part)
+        at += len(part)
+    for candidate in sensors:
+        sensor = candidate.variants[0][0]
+        assert isinstance(sensor, SensorModel)
+        if sensor.channel in (*run.channels, "voltage", *run.known):
+            table[:, :, at] = line.of_sensor(sensor)
+        at += 1
     for curve in free_curves:
-        columns = columns.joined(curve.columns(), line.of_curve(curve))
-    if with_decoys:
-        false = decoys(line.trajectory)
-        columns = columns.joined(list(false), line.of_forcings(list(false.values())))
-    return columns, line
+        width = len(curve.columns())
+        table[:, :, at : at + width] = line.of_curve(curve)
+        at += width
+    table[:, :, at:-1] = line.of_forcings(list(false.values()))
+    table[:, :, -1] = run.average(run.measured - y)
+    return Columns(tuple(names), table), line
+
+
+def _chunks(effects: list[Effect]) -> Iterator[list[Effect]]:
+    for k in range(0, len(effects), CHUNK):
+        yield effects[k : k + CHUNK]
 
 
 def layout(runs: Sequence[Run], whiteners: Sequence[Whitener]) -> list[tuple[int, slice]]:
@@ -214,18 +219,27 @@ def layout(runs: Sequence[Run], whiteners: Sequence[Whitener]) -> list[tuple[int
 def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequence[Whitener]) -> Evidence:
     """Whiten all columns and sum their products by blocks of time."""
     names = columns[0].names
-    whitened, kept = [], []
-    for one, run, whitener in zip(columns, runs, whiteners, strict=True):
-        z = whitener(np.concatenate([one.values, one.residual[:, :, None]], axis=2))
-        kept.append(usable(run, whitener))
-        z[~kept[-1]] = 0.0
-        whitened.append(z)
     blocks, samples = [], []
-    for r, rows in layout(runs, whiteners):
-        part = whitened[r][rows].reshape(-1, len(names) + 1)
-        blocks.append(part.T @ part)
-        samples.append(float(kept[r][rows].sum()))
+    for r, (one, run, whitener) in enumerate(zip(columns, runs, whiteners, strict=True)):
+        kept = usable(run, whitener)
+        pieces = [rows for k, rows in layout(runs, whiteners) if k == r]
+        for rows, part in zip(pieces, whitener.pieces(one.table, pieces), strict=True):
+            flat = part[kept[rows]].reshape(-1, len(names) + 1)
+            blocks.append(flat.T @ flat)
+            samples.append(float(kept[rows].sum()))
     return Evidence.of(names, np.array(blocks), np.array(samples))
+
+
+def products_with_residual(
+    columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequence[Whitener]
+) -> Array:
+    """(m + 1,) whitened products of all columns with the residual, the last the residual's own."""
+    total = np.zeros(columns[0].table.shape[2])
+    for one, run, whitener in zip(columns, runs, whiteners, strict=True):
+        white = whitener(one.residual)
+        white[~usable(run, whitener)] = 0.0
+        total += np.tensordot(whitener.adjoint(white), one.table, axes=2)
+    return total
 
 
 # How many columns the noise model may first take out, and the statistic that entitles a column to it.
@@ -259,7 +273,7 @@ def all_columns(
     found: Fit,
     runs: Sequence[Run],
     listed: Sequence[Candidate],
-    free_curves: Sequence[Curve],
+    free_curves: Sequence[Curve | Variation],
     with_decoys: bool = True,
 ) -> tuple[list[Columns], list[Line]]:
     """The columns of every run in one pass."""

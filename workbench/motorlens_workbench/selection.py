@@ -133,7 +133,7 @@ def pair(left: Evidence, tests: dict[str, Test], best: Test) -> tuple[Test, Test
     able = [t for t in tests.values() if t.score and len(t.score.names) == 1 and t.score.inflation < 1e4]
     labels = [t.candidate.columns()[t.variant][0] for t in able]
     at = left.index(labels)
-    total = left.total()
+    total = left.total
     inner, right = total[np.ix_(at, at)], total[at, -1]
     power = np.diagonal(inner)
     determinant = np.outer(power, power) - inner**2

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motorlens_workbench.candidates import EQUATIONS, UNITS
 from motorlens_workbench.diagnosis import Bend, Finding, Look, Step
 from motorlens_workbench.screen import held_out_rmse
 from motorlens_workbench.selection import WORTH, Test
@@ -56,8 +55,8 @@ def settle(found: Finding) -> Verdict:
     probability = probabilities(found, unknown=bend is not None)
     untold = tuple(limits(found))
     if bend is not None:
-        shape = strongest(found.first) or bend
-        return Verdict("unknown", (), (), EQUATIONS[shape.curve.balance], probability, shape, untold)
+        shape = found.whole[0] if found.whole else bend
+        return Verdict("unknown", (), (), shape.curve.equation, probability, shape, untold)
     if not chosen:
         blind = not any(_detectable(found.last, test) for test in found.last.tests.values())
         return Verdict("not_testable" if blind else "adequate", (), (), None, probability, None, untold)
@@ -86,16 +85,11 @@ def group_of(step: Step) -> tuple[str, ...]:
 
 def structure(found: Finding) -> Bend | None:
     """The free curve that shows that something unnamed is left; None if what is left is noise."""
-    best = strongest(found.last)
-    if best is None:
+    if not found.left:
         return None
+    best = found.left[0]
     gain = sum(step.gain for step in found.steps)
     return best if best.gain > max(WORTH * found.last.samples, BETTER * gain) else None
-
-
-def strongest(now: Look) -> Bend | None:
-    """The free curve that explains most, of those beyond chance."""
-    return max(now.bends, key=lambda bend: bend.gain, default=None)
 
 
 def probabilities(found: Finding, unknown: bool) -> dict[str, float]:
@@ -197,8 +191,3 @@ def noise_floor(now: Look, found: Finding) -> dict[str, float]:
         channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
         for channel, parts in squares.items()
     }
-
-
-def unit_of(bend: Bend) -> str:
-    """Unit of a free curve."""
-    return UNITS[bend.curve.balance]

@@ -6,8 +6,10 @@ error is white, and the same filter applied to sensitivities keeps least squares
 Multiple Time Series Analysis, 2005, section 3.2).
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -45,20 +47,55 @@ class Whitener:
     def __call__(self, y: Array) -> Array:
         """Whiten (N, C) or (N, C, m): prediction errors in units of sigma; the first `order` rows are 0."""
         columns = y[:, :, None] if y.ndim == 2 else y
-        white = np.array(columns, dtype=np.float64)
-        order = self.order
-        for lag, weights in enumerate(self.coefficients):
-            _subtract(white[lag:], weights, columns[: len(columns) - lag])
-        for reach, weights in zip(self.memories, self.memory, strict=True):
-            _subtract(white[1:], weights, past_mean(columns, reach)[:-1])
-        white /= self.sigma[None, :, None]
-        white[:order] = 0.0
+        white = next(self.pieces(columns, [slice(0, len(columns))]))
         return white[:, :, 0] if y.ndim == 2 else white
 
+    def pieces(self, y: Array, rows: Iterable[slice]) -> Iterator[Array]:
+        """Whiten (N, C, m) piece by piece, (len, C, m) each; the pieces follow each other from the first row on."""
+        past = np.zeros((len(self.memories), *y.shape[1:]))
+        keep = np.exp(-1 / np.array(self.memories, dtype=np.float64))
+        for piece in rows:
+            white = np.empty((piece.stop - piece.start, *y.shape[1:]))
+            _whiten(y, piece.start, self.coefficients, self.sigma, keep, self.memory, past, white)
+            yield white
 
-def _subtract(white: Array, weights: Array, past: Array) -> None:
-    for c, j in zip(*np.nonzero(weights), strict=True):
-        white[:, c] -= weights[c, j] * past[:, j]
+    def adjoint(self, z: Array) -> Array:
+        """(N, C) to (N, C), the transpose of the filter: applied to white noise it weighs by the inverse covariance."""
+        z = z / self.sigma
+        z[: self.order] = 0.0
+        out = z.copy()
+        for lag, weights in enumerate(self.coefficients):
+            out[: len(z) - lag] -= z[lag:] @ weights
+        for reach, weights in zip(self.memories, self.memory, strict=True):
+            out[:-1] -= past_mean((z[1:] @ weights)[::-1], reach)[::-1]
+        return out
+
+
+@numba.njit(cache=True)
+def _whiten(y, first, coefficients, sigma, keep, memory, past, white):  # type: ignore[no-untyped-def]
+    order, channels, width = len(coefficients) - 1, y.shape[1], y.shape[2]
+    for row in range(len(white)):
+        t = first + row
+        for c in range(channels):
+            for m in range(width):
+                white[row, c, m] = y[t, c, m]
+            for j in range(channels):
+                for lag in range(min(order, t) + 1):
+                    weight = coefficients[lag, c, j]
+                    if weight != 0.0:
+                        for m in range(width):
+                            white[row, c, m] -= weight * y[t - lag, j, m]
+                for q in range(len(keep)):
+                    weight = memory[q, c, j]
+                    for m in range(width):
+                        white[row, c, m] -= weight * past[q, j, m]
+            scale = 0.0 if t < order else 1.0 / sigma[c]
+            for m in range(width):
+                white[row, c, m] *= scale
+        for q in range(len(keep)):
+            for j in range(channels):
+                for m in range(width):
+                    past[q, j, m] = keep[q] * past[q, j, m] + (1.0 - keep[q]) * y[t, j, m]
 
 
 def past_mean(y: Array, reach: float) -> Array:

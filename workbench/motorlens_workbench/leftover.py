@@ -1,0 +1,106 @@
+"""What a model leaves unexplained that is no noise: free curves and parameters that are no constants.
+
+They have no name. Where one of them explains much of what is left, something is missing that the catalogue has not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.parameter import Rated
+from motorlens_workbench.candidates import Curve, curves
+from motorlens_workbench.evidence import Evidence, curve_gain, statistics
+from motorlens_workbench.fitting import Fit
+from motorlens_workbench.input_errors import without_input_errors
+from motorlens_workbench.model import predict
+from motorlens_workbench.run import Run
+from motorlens_workbench.screen import all_columns, evidence_of, with_priors
+from motorlens_workbench.selection import REAL
+from motorlens_workbench.variation import Variation, variations
+
+Array = NDArray[np.float64]
+
+BALANCES = ("voltage", "torque", "heat")
+# Standard deviations beyond chance at which a free curve counts.
+BENT = 8.0
+
+
+@dataclass(frozen=True)
+class Bend:
+    """A free curve against what is left: how much it would explain.
+
+    Attributes:
+        curve: the curve.
+        gain: fall of the whitened sum of squares beyond chance.
+        deviations: how many standard deviations that is.
+        knots: (k,) those of its knots that the data know.
+        best: the robust statistic of its strongest single knot.
+        value: (k,) the curve there, in the unit of its balance.
+        sd: (k,) its standard deviation.
+    """
+
+    curve: Curve | Variation
+    gain: float
+    deviations: float
+    best: float
+    knots: Array
+    value: Array
+    sd: Array
+
+
+def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
+    """The free curves that explain more than chance of what a fitted model leaves, the strongest first.
+
+    Args:
+        found: the fit, with its noise.
+        runs: prepared recordings.
+        decoy: the best statistic that a decoy reaches from there.
+    """
+    outputs = sorted({channel for run in runs for channel in run.channels})
+    trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
+    free: list[Curve | Variation] = [
+        *curves(trajectories, BALANCES),
+        *variations(found.model.file, trajectories, outputs),
+    ]
+    columns, _ = all_columns(found, runs, (), free, with_decoys=False)
+    evidence = evidence_of(columns, runs, found.whiteners)
+    evidence = without_input_errors(evidence, found, runs, found.whiteners, (), free, with_decoys=False)
+    left = with_priors(evidence, found).given(found.prior.keys)
+    return [
+        bend
+        for bend in bends_of(left, free)
+        if bend.deviations > BENT
+        and _believable(bend, found.model.file.rated)
+        and bend.gain > 2 * max(REAL, decoy)
+        and bend.best > max(REAL, 3 * decoy)
+    ]
+
+
+def bends_of(left: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
+    """Every free curve against what is left, the strongest first."""
+    found = []
+    single = dict(zip(left.names, statistics(left).tolist(), strict=False))
+    for curve in free:
+        gain, deviations, tested = curve_gain(left, curve.columns())
+        if tested is None:
+            continue
+        at = [int(name.rpartition(".")[2]) for name in tested.names]
+        spread = np.sqrt(np.maximum(np.diagonal(tested.covariance), 0))
+        best = max(single[name] for name in tested.names)
+        found.append(Bend(curve, gain, deviations, best, curve.knots[at], tested.coefficient, spread))
+    return sorted(found, key=lambda bend: -bend.gain)
+
+
+def _believable(bend: Bend, rated: Rated) -> bool:
+    """Whether a curve stays within what such a term can be: rated voltage and torque, a few times the rated power."""
+    limit = {
+        "voltage": rated.voltage_V,
+        "torque": rated.torque_Nm,
+        "heat": 3 * rated.voltage_V * rated.current_A,
+    }
+    if isinstance(bend.curve, Variation):
+        return True
+    sure = np.abs(bend.value) > 3 * bend.sd
+    return bool(np.median(np.abs(bend.value[sure])) < limit[bend.curve.balance]) if sure.any() else True

@@ -1,0 +1,162 @@
+"""Whether the parameters of the model are constants: each of them against speed, current, temperature, time and travel.
+
+A wrong name can fit well on the whole and yet not be the missing effect: its coefficient then differs between slow and fast,
+between early and late, just after a reversal and long after. Every parameter of the model, those of what has been accepted
+among them, is let free as a sum of hat functions; what that explains beyond the constant is something the catalogue has not.
+Varying-coefficient models: Hastie and Tibshirani (1993), doi:10.1111/j.2517-6161.1993.tb01939.x.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.simulation import Trajectory
+from motorlens_workbench.candidates import Forcing, equation_of, hat_functions, inputs_at, knots_of
+
+Array = NDArray[np.float64]
+
+EVERYTHING = ("speed", "current", "temperature", "time", "travel")
+SLOW = ("speed", "temperature", "time")
+# Parameters of the textbook, the equation each belongs to, and against what it may vary. The temperature coefficient and the
+# growth of cooling with speed are not in the list: R_a0 against temperature and k0 against speed say the same.
+TEXTBOOK = {
+    "R_a0": ("electrical", EVERYTHING), "L": ("electrical", EVERYTHING), "ke": ("coupling", EVERYTHING),
+    "J": ("mechanical", EVERYTHING), "b": ("mechanical", EVERYTHING), "k0": ("thermal", SLOW), "k_ir": ("thermal", SLOW),
+    "H": ("thermal", SLOW),
+}  # fmt: skip
+KNOTS = {"speed": 6, "current": 6, "temperature": 5, "time": 8}
+# Angles turned since the last reversal, rad: bristles and backlash are used up within a few.
+TRAVEL_RAD = np.array([0.0, 0.2, 0.6, 2.0, 6.0, 20.0])
+# A speed this share of the largest, the other way, is a reversal.
+REVERSED = 0.01
+
+
+@dataclass(frozen=True)
+class Variation:
+    """One parameter of the model as a free curve of one variable.
+
+    Attributes:
+        parameter: of the textbook or of an effect, such as "R_a0" or "coulomb_friction.tau_c".
+        equation: where it belongs.
+        unit: of the parameter.
+        against: "speed" or "current" (absolute), "temperature", "time", or "travel" since the last reversal.
+        knots: (k,) in the variable's unit.
+    """
+
+    parameter: str
+    equation: str
+    unit: str
+    against: str
+    knots: Array
+
+    @property
+    def term(self) -> str:
+        """What it is the course of."""
+        return self.parameter
+
+    def columns(self) -> list[str]:
+        """Names of the columns."""
+        return [f"curve.{self.parameter}.{self.against}.{k}" for k in range(len(self.knots))]
+
+    def forcing(self, trajectory: Trajectory, angle: Array) -> Forcing:
+        """What a unit of the parameter at each knot adds to the balances, (N, k) each."""
+        hats = hat_functions(self.knots, variables(trajectory)[self.against])
+        unit = of_parameter(trajectory, self.parameter)
+        return Forcing(hats * unit.voltage[:, None], hats * unit.torque[:, None], hats * unit.heat[:, None])
+
+
+def variables(trajectory: Trajectory) -> dict[str, Array]:
+    """What parameters may vary with, (N,) each; "travel" is the angle turned since the last reversal, rad."""
+    return {
+        "speed": np.abs(trajectory.speed_rad_s),
+        "current": np.abs(trajectory.current_A),
+        "temperature": trajectory.rise_K,
+        "time": trajectory.inputs.time_s,
+        "travel": travel(trajectory.speed_rad_s, trajectory.inputs.time_s),
+    }
+
+
+def travel(speed_rad_s: Array, time_s: Array) -> Array:
+    """(N,) angle turned since the last reversal, in rad.
+
+    >>> travel(np.array([1.0, 1.0, -1.0, -1.0]), np.arange(4.0)).tolist()
+    [0.0, 1.0, 0.0, 1.0]
+    """
+    least = REVERSED * float(np.max(np.abs(speed_rad_s), initial=1e-12))
+    way = np.where(np.abs(speed_rad_s) > least, np.sign(speed_rad_s), 0.0)
+    moving = np.flatnonzero(way)
+    turned = np.zeros(len(way), dtype=bool)
+    turned[moving[1:][way[moving[1:]] != way[moving[:-1]]]] = True
+    steps = 0.5 * (np.abs(speed_rad_s[1:]) + np.abs(speed_rad_s[:-1])) * np.diff(time_s)
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    since = np.maximum.accumulate(np.where(turned, path, 0.0))
+    return np.asarray(path - since)
+
+
+def of_parameter(trajectory: Trajectory, parameter: str) -> Forcing:
+    """What a unit more of a parameter adds to the balances along a trajectory, (N,) each."""
+    motor, u = trajectory.motor, inputs_at(trajectory)
+    x = SimpleNamespace(**trajectory.states)
+    value = _value(motor, parameter)
+    step = 1e-4 * abs(value) if value else 1e-6
+    up, down = (_with(motor, parameter, value + sign * step).rates(x, u) for sign in (1, -1))
+    stored = {"i": motor.inductance(x, u), "w": motor.J, "theta": motor.H}
+    voltage, torque, heat = (
+        np.broadcast_to(stored[name] * (up[name] - down[name]) / (2 * step), u.t.shape) for name in stored
+    )
+    return Forcing(voltage, torque, heat)
+
+
+def _value(motor: Motor, parameter: str) -> float:
+    owner, _, name = parameter.rpartition(".")
+    return float(getattr(motor.effect(owner) if owner else motor, name))
+
+
+def _with(motor: Motor, parameter: str, value: float) -> Motor:
+    owner, _, name = parameter.rpartition(".")
+    if not owner:
+        return replace(motor, **{name: value})  # type: ignore[arg-type]
+    effect = motor.effect(owner)
+    assert effect is not None
+    return motor.with_effect(replace(effect, **{name: value}))
+
+
+def variations(
+    file: MotorFile, trajectories: Sequence[Trajectory], channels: Sequence[str]
+) -> list[Variation]:
+    """Every parameter of a motor against everything that varies in these runs.
+
+    Args:
+        file: the motor, with the effects accepted so far.
+        trajectories: of every run, from the present model.
+        channels: measured outputs; without the temperature, heat is not looked at.
+    """
+    parameters = {
+        key: what for key, what in TEXTBOOK.items() if what[0] != "thermal" or "temperature" in channels
+    }
+    for effect in file.motor.effects:
+        switch = effect.switch()
+        if switch is not None and not effect.states:
+            parameters[f"{effect.name()}.{switch.name}"] = (equation_of(type(effect)), EVERYTHING)
+    visited = [variables(trajectory) for trajectory in trajectories]
+    found = []
+    for against in EVERYTHING:
+        samples = np.concatenate([one[against] for one in visited])
+        if against == "travel":
+            reversed_ = any(np.any(np.diff(one["travel"]) < 0) for one in visited)
+            knots = TRAVEL_RAD[: int(np.searchsorted(TRAVEL_RAD, samples.max()))] if reversed_ else None
+        else:
+            knots = knots_of(samples, KNOTS[against])
+        if knots is None or len(knots) < 3:
+            continue
+        found += [
+            Variation(key, equation, file.meaning(key).unit, against, knots)
+            for key, (equation, allowed) in parameters.items()
+            if against in allowed
+        ]
+    return found
