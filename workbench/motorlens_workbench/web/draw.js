@@ -20,6 +20,10 @@ function words(name) {
   return name.replaceAll("_", " ");
 }
 
+function unit(text) {
+  return {degC: "°C", 1: ""}[text] ?? text;
+}
+
 function table(headings, rows, parent) {
   const found = make("table", null, make("div", null, parent, "scroll"));
   const head = make("tr", null, make("thead", null, found));
@@ -57,7 +61,7 @@ const SHOW = {
   compare(result, parent) {
     table(["channel", "error, rms", "times its noise", "fit, %", "bias", "largest", "noise"],
       Object.entries(result.channels).map(([name, c]) =>
-        [`${name}, ${c.unit}`, c.rmse, Number((c.rmse / c.noise_floor).toPrecision(2)), Number(c.nrmse_percent.toFixed(1)), c.bias, c.max, c.noise_floor]), parent);
+        [`${name}, ${unit(c.unit)}`, c.rmse, Number((c.rmse / c.noise_floor).toPrecision(2)), Number(c.nrmse_percent.toFixed(1)), c.bias, c.max, c.noise_floor]), parent);
     const testable = Object.entries(result.equations).filter(([, e]) => e.testable);
     if (testable.length) bars("Which equation fails, share in percent", testable.map(([name, e]) => [name, Number((100 * e.share).toFixed(1))]), parent);
     for (const [name, e] of Object.entries(result.equations)) if (e.why) make("p", `${name}: ${e.why}`, parent, "note");
@@ -76,8 +80,9 @@ const SHOW = {
       button.type = "button";
       button.setAttribute("aria-label", `Add ${words(c.name)}`);
       button.onclick = () => act(c.name);
-      return [words(c.name), c.equation, Number(c.probability.toFixed(2)), size ? `${number(size.value)} ± ${number(Number(size.sd.toPrecision(2)))} ${size.unit}` : "",
-        c.minimum_detectable === null ? "" : `${number(Number(c.minimum_detectable.toPrecision(2)))} ${size ? size.unit : ""}`, c.why_not || button];
+      const of = size ? ` ${unit(size.unit)}`.trimEnd() : "";
+      return [words(c.name), words(c.equation), Number(c.probability.toFixed(2)), size ? `${number(size.value)} ± ${number(Number(size.sd.toPrecision(2)))}${of}` : "",
+        c.minimum_detectable === null ? "" : `${number(Number(c.minimum_detectable.toPrecision(2)))}${of}`, c.why_not || button];
     }), parent);
     [...found.tBodies[0].rows].forEach((row, k) => row.classList.toggle("chosen", result.chosen.includes(rows[k].name)));
     for (const channel of Object.keys(result.error.before))
@@ -98,14 +103,14 @@ const SHOW = {
     }
     make("h3", "Parameters", parent);
     table(["parameter", "value", "standard deviation", "unit"], Object.entries(result.parameters).map(([key, p]) =>
-      [key, p.value, p.sd === null ? "" : Number(p.sd.toPrecision(2)), p.unit]), parent);
+      [key, p.value, p.sd === null ? "" : Number(p.sd.toPrecision(2)), unit(p.unit)]), parent);
   },
 
   // Every motor file that was compared with the same recordings, the oldest first.
   again(results, parent) {
     const channels = Object.entries(results[results.length - 1].channels);
     for (const [channel, last] of channels)
-      bars(`Error of ${channel}, run freely, ${last.unit}`, [
+      bars(`Error of ${channel}, run freely, ${unit(last.unit)}`, [
         ...results.map(r => [r.motor, r.channels[channel] ? r.channels[channel].rmse : null]),
         ["noise floor", last.noise_floor, true]], parent);
   },

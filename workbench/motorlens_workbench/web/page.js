@@ -9,7 +9,7 @@ let choice = null, steps = [], outputSuggested = "";
 start();
 
 async function start() {
-  history.replaceState(null, "", location.pathname); // the key need not stand in the address line
+  history.replaceState(null, "", location.pathname + location.hash); // the key need not stand in the address line
   TABS.forEach((name, k) => {
     $(`tab-${name}`).onclick = () => open_(name);
     $(`tab-${name}`).onkeydown = event => {
@@ -28,7 +28,9 @@ async function start() {
   $("refresh").onclick = () => choose();
   $("cancel").onclick = () => send("/cancel", {});
   $("script").onclick = () => copy(steps.filter(s => s.state === "done").map(s => s.command).join("\n") + "\n", $("script"));
-  await choose();
+  // A page that is opened again goes on from the last step.
+  const last = (await get("/state")).steps.at(-1);
+  await choose(last && (last.written || last.motor), last);
   const wanted = TABS.indexOf(location.hash.slice(1));
   open_(TABS[Math.max(wanted, 0)]);
   for (;;) {
@@ -70,8 +72,8 @@ function problem(text) {
 }
 
 // What can be chosen; what is chosen stays so.
-async function choose(motor) {
-  const before = choice ? {motor: $("motor").value, ...chosen()} : null;
+async function choose(motor, kept) {
+  const before = choice ? {motor: $("motor").value, ...chosen()} : kept;
   choice = await get("/choice");
   const now = before || {...choice.chosen, judge: []};
   $("motor").replaceChildren(...choice.motors.map(entry => new Option(entry.name)));
@@ -91,7 +93,7 @@ async function choose(motor) {
     judge.onchange = () => { if (judge.checked) use.checked = false; };
   }
   if (!choice.recordings.length) make("td", "no recording here", make("tr", null, body));
-  if (!before) $("columns").value = choice.chosen.columns.join(" ");
+  $("columns").value = now.columns.join(" ");
   $("effects").replaceChildren(...choice.effects.map(name => new Option(name, name)));
   showParts();
   suggest();
@@ -187,39 +189,47 @@ async function follow() {
   if (!changed.length) return;
   for (const step of changed) {
     if (step.state === "done") results.set(step.number, await get(`/results/${step.number}.json`));
-    if (step.written && step.number === steps.length) await choose(step.written);
+    if (step.written && step.number === steps.length) {
+      $("effect").value = $("output").value = "";
+      await choose(step.written);
+    }
   }
   showSteps();
-  const latest = kinds => steps.findLast(step => kinds.includes(step.kind) && step.state !== "running");
-  show("compare", latest(["compare"]), SHOW.compare);
-  show("diagnose", latest(["diagnose"]), SHOW.diagnose);
-  show("add", latest(["add", "remove"]), SHOW.add);
-  showAgain(latest(["compare"]));
+  show("compare", ["compare"], SHOW.compare);
+  show("diagnose", ["diagnose"], SHOW.diagnose);
+  show("add", ["add", "remove"], SHOW.add);
+  showAgain(steps.findLast(step => step.kind === "compare" && step.state === "done"));
 }
 
-function show(name, step, drawing) {
-  const parent = $(`${name}-result`);
-  if (parent.dataset.step === String(step && step.number)) return;
+// What came of the newest step of a kind; where it failed, what the one before it found stays below.
+function show(name, kinds, drawing) {
+  const parent = $(`${name}-result`), ended = steps.filter(step => kinds.includes(step.kind) && step.state !== "running");
+  const last = ended.at(-1), good = ended.findLast(step => step.state === "done");
+  if (!last || parent.dataset.step === String(last.number)) return;
   parent.replaceChildren();
-  if (!step) return;
-  parent.dataset.step = step.number;
-  make("p", step.sentence, parent, step.state === "done" ? "verdict" : "failed");
-  step.notes.forEach(note => make("p", note, parent, "note"));
-  command(step.command, parent);
-  if (step.state !== "done") return;
-  drawing(results.get(step.number), parent, effect => {
+  parent.dataset.step = last.number;
+  if (last !== good) head(last, parent);
+  if (!good) return;
+  head(good, parent);
+  drawing(results.get(good.number), parent, effect => {
     $("effect").value = effect;
     suggest();
     open_("add");
     $("effect").focus();
   });
-  report(step, parent);
+  report(good, parent);
+}
+
+function head(step, parent) {
+  make("p", step.sentence, parent, step.state === "done" ? "verdict" : "failed");
+  step.notes.forEach(note => make("p", note, parent, "note"));
+  command(step.command, parent);
 }
 
 function showAgain(last) {
   const parent = $("again-result");
   parent.replaceChildren();
-  if (!last || last.state !== "done") return;
+  if (!last) return;
   const same = steps.filter(step => step.kind === "compare" && step.state === "done" && String(step.recordings) === String(last.recordings));
   make("p", last.sentence, parent, "verdict");
   // A file that was compared twice is shown as it is now.

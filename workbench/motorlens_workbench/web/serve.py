@@ -111,7 +111,8 @@ def shown(step: Step) -> dict[str, Any]:
     """A step as the page sees it."""
     return {
         "number": step.number, "kind": step.order.kind, "motor": step.order.motor, "effect": step.order.effect,
-        "recordings": list(step.order.recordings), "command": step.command, "state": step.state,
+        "recordings": list(step.order.recordings), "judge": list(step.order.judge),
+        "columns": list(step.order.columns), "command": step.command, "state": step.state,
         "sentence": step.sentence, "notes": list(step.notes), "written": step.written, "seconds": step.seconds,
     }  # fmt: skip
 
