@@ -157,7 +157,8 @@ def figure(
     """A plotly figure with titled axes; further layout keys as plotly has them."""
     axes = {"gridcolor": AXIS, "zerolinecolor": ZERO}
     standard = {
-        "height": height, "margin": {"l": 70, "r": 20, "t": 20, "b": 50}, "plot_bgcolor": CLEAR, "paper_bgcolor": CLEAR, "modebar": {"bgcolor": CLEAR},
+        "height": height, "margin": {"l": 70, "r": 20, "t": 20, "b": 50}, "plot_bgcolor": CLEAR, "paper_bgcolor": CLEAR,
+        "modebar": {"bgcolor": CLEAR},
         "xaxis": {**axes, "title": {"text": x}}, "yaxis": {**axes, "title": {"text": y}},
         "legend": {"orientation": "h", "y": 1.12}, "hovermode": "closest",
     }  # fmt: skip

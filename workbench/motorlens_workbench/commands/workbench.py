@@ -3,8 +3,8 @@
 example:
   motorlens workbench --motor models/motors/mellah2016.toml bench1.csv bench2.csv
 
-The page opens by itself, for this machine only. It works with the files named here and with those in --folder, and writes new
-motor files there; each step is a command of motorlens, and the page shows it. Ctrl-C ends it.
+The page opens by itself, for this machine only. It works with the files named here and with those in --folder, and writes
+new motor files there; each step is a command of motorlens, and the page shows it. Ctrl-C ends it.
 """
 
 import argparse
@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motor", metavar="MOTOR.toml", help="motor file to begin with")
     parser.add_argument(
         "--folder", metavar="DIR",
-        help="whose motor files and recordings can be chosen, and where new motor files go (default: only the files named; new "
-        "ones go to the current folder)",
+        help="whose motor files and recordings can be chosen, and where new motor files go (default: only the files "
+        "named; new ones go to the current folder)",
     )  # fmt: skip
     parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
