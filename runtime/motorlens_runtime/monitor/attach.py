@@ -273,12 +273,7 @@ class _Datagrams:
     def read(self, wait_s: float) -> News:
         """See `Attachment`."""
         documents, self._waiting = self._waiting or self._documents(wait_s), []
-        events = [
-            d for d in documents if isinstance(d.get("event"), str) and isinstance(d.get("message"), str)
-        ]
-        events = [
-            d for d in events if d["event"] != "alarm" or (isinstance(d.get("alarm"), str) and "active" in d)
-        ]
+        events = [event for document in documents if (event := _event(document)) is not None]
         rows = [d for d in documents if "event" not in d and _number(d.get("timestamp")) < math.inf]
         if not rows:
             return News(None, events)
@@ -316,6 +311,22 @@ class _Datagrams:
     def close(self) -> None:
         """See `Attachment`."""
         self._socket.close()
+
+
+def _event(document: dict[str, Any]) -> dict[str, Any] | None:
+    """What an event says, of the types it must have; None if it is none."""
+    kind, message, alarm = (document.get(key) for key in ("event", "message", "alarm"))
+    if not isinstance(kind, str) or not isinstance(message, str):
+        return None
+    found: dict[str, Any] = {"event": kind[:100], "message": message[:500]}
+    time_s = _number(document.get("timestamp"))
+    if math.isfinite(time_s):
+        found["timestamp"] = time_s
+    if kind != "alarm":
+        return found
+    if not isinstance(alarm, str) or not isinstance(document.get("active"), bool):
+        return None
+    return {**found, "alarm": alarm[:100], "active": document["active"]}
 
 
 def _number(value: Any) -> float:

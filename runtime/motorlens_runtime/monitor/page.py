@@ -89,7 +89,7 @@ class MonitorPage:
             self._events.append(event)
             if event.get("event") == "alarm":
                 self._active.pop(event["alarm"], None)
-                if event["active"]:
+                if event["active"] and len(self._active) < _EVENTS:
                     self._active[event["alarm"]] = event
 
     def counts(self, counts: dict[str, Any]) -> None:

@@ -22,6 +22,7 @@ MOST_OCTETS = 1 << 20
 # A page loads its own scripts and styles, shows its own pages in frames, talks to its own server, and nothing else.
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; frame-src 'self'; img-src data:"
 _STATUS_WORDS = {
+    400: "not understood",
     403: "refused",
     404: "there is no such page",
     405: "GET and POST only",
