@@ -1,7 +1,8 @@
 """From symbols to machine code: the step, the loop and the sensitivities of one motor's structure.
 
-Parameters are arguments, so one structure is compiled once. The generated source lies in a per-user cache folder, named
-after its content; numba keeps the machine code beside it, so other runs and processes find both.
+Parameters are arguments, so one structure is compiled once. What differs between structures is straight-line code, which
+`compile_native` compiles in a tenth of a second; what they share, the loops, numba compiles once and for all. Both keep the
+machine code in a per-user cache folder, in files named after the content of the source.
 """
 
 import hashlib
@@ -19,40 +20,17 @@ from typing import Any
 
 import sympy as sp
 
-from motorlens_physics import compile_loop, compile_variational
+from motorlens_physics import compile_loop, compile_types, compile_variational
+from motorlens_physics.compile_native import native
 from motorlens_physics.compile_rodas import ALPHA, GAMMA, GAMMAS, A, C, jacobian_of, step_source
 from motorlens_physics.symbols import INPUTS, LOAD, SIDE, System, named
 
 _LINEAR = "linear(x, p, t, u, ahead, side, slots, a, g)"
-_HEAD = """import math
-
-import numpy as np
-from numba import boolean, float64, int64, njit, types
-
-Vector = Matrix = Any = object
-options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
-v = float64[::1]
-m = float64[:, ::1]
-mm = float64[:, :, ::1]
-of_step = types.void(v, v, float64, v, float64, float64, float64, v, v, v)
-of_rest = types.UniTuple(float64, 3)(v, v, float64, v, float64)
-of_torque = float64(v, v, float64, v, float64, float64)
-of_linear = types.void(v, v, float64, v, float64, float64, int64[::1], m, m)
-of_work = types.Tuple((mm, mm, mm, m, int64[::1], m, mm, v))
-of_propagate = types.void(
-    types.FunctionType(of_linear), v, v, float64, v, float64, float64, float64, v, v, float64, float64, m, of_work
-)
-pointers = [types.FunctionType(f) for f in (of_step, of_rest, of_torque, of_linear, of_propagate)]
-of_integrate = int64(*pointers, v, m, boolean, boolean, v, v, v, v, float64, m, m, of_work, mm, mm)
-"""
-
-
-_NO_PROPAGATE = f"""{_HEAD}
-
-@njit(of_propagate, **options)
-def propagate(linear, x, p, t, u, h, side, go, y, z, begin, end, S, work):
-    pass
-"""
+_HEAD = inspect.getsource(compile_types)
+_SIGNATURES = {
+    name: getattr(compile_types, f"of_{name}") for name in ("step", "rest", "torque", "linear", "propagate")
+}
+_PROPAGATE = "propagate(linear, x, p, t, u, h, side, go, y, z, begin, end, S, work)"
 
 
 @dataclass(frozen=True)
@@ -69,13 +47,12 @@ class Compiled:
 
 def compiled(system: System) -> Compiled:
     """The machine code of a system, from the cache if it is there."""
-    own = _load(source(system))
+    own = native(source(system), _SIGNATURES, _folder())
     loop = _load(shared_source(compile_loop, "of_integrate"))
-    # Without forcings there is nothing to propagate.
-    variational = shared_source(compile_variational, "of_propagate") if system.forcings else _NO_PROPAGATE
-    return Compiled(
-        loop.integrate, (own.step, own.rest, own.torque, own.linear, _load(variational).propagate)
-    )
+    functions = [own[name] for name in _SIGNATURES]
+    if system.forcings:
+        functions[-1] = _load(shared_source(compile_variational, "of_propagate")).propagate
+    return Compiled(loop.integrate, tuple(functions))
 
 
 def source(system: System) -> str:
@@ -86,17 +63,19 @@ def source(system: System) -> str:
     rest: torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead.
     torque: right-hand side of the mechanical balance.
     linear: Jacobian a (n, n) of the motor's own balances and forcings g (n, columns), the k-th going to column slots[k].
+    propagate: nothing, in the place of `compile_variational`.
     """
-    inner = [_balances(system), _linearised(system)]
-    outer = {
-        "of_step": _function("step(x, p, t, u, h, side, go, y, e, z)", step_source(system)),
-        "of_rest": _rest(system),
-        "of_torque": _torque(system),
-        "of_linear": _linear(system) if system.forcings else _function(_LINEAR, ["pass"]),
-    }
-    functions = [f"@njit(**options)\n{text}\n" for text in inner]
-    functions += [f"@njit({signature}, **options)\n{text}\n" for signature, text in outer.items()]
-    return "\n\n".join([_HEAD, *functions])
+    functions = [
+        _balances(system),
+        _linearised(system),
+        _function("step(x, p, t, u, h, side, go, y, e, z)", step_source(system)),
+        _rest(system),
+        _torque(system),
+        _linear(system) if system.forcings else _function(_LINEAR, ["pass"]),
+        # Without forcings there is nothing to propagate; with them, it is the same for all structures.
+        _function(_PROPAGATE, ["pass"]),
+    ]
+    return "\n\n\n".join(functions) + "\n"
 
 
 def shared_source(module: ModuleType, signature: str) -> str:

@@ -1,7 +1,8 @@
 """The time loop: adaptive steps inside each sample, a rotor that rests, turns, stops and breaks away.
 
 This is ordinary Python that `compile` copies, below the line, into the module it compiles; the step of a motor is handed
-in as a function, so the loop is compiled once for all motors.
+in as a function, so the loop is compiled once for all motors. Arrays are copied element by element: numba takes seconds to
+compile the checks and messages of a slice assignment.
 
 At rest the load and the friction are sets: the load is a brake that holds with up to its torque either way, and stiction
 with up to its own. The rotor rests while they can balance the motor's torque, so a load never drives a resting rotor and
@@ -42,12 +43,19 @@ def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> floa
     return worst
 
 
+def copy(this: Vector, there: Vector) -> None:
+    """Copy a matrix element by element."""
+    for r in range(this.shape[0]):
+        for c in range(this.shape[1]):
+            there[r, c] = this[r, c]
+
+
 def begin(total: Vector) -> None:
     """Set the matrices of a sample (see `compile_variational`) to those of no time."""
     if total.size > 0:
-        total[0] = 0.0
         for r in range(total.shape[1]):
-            total[0, r, r] = 1.0
+            for c in range(total.shape[2]):
+                total[0, r, c] = 1.0 if r == c else 0.0
 
 
 def turn(ratio: float, S: Vector, total: Vector) -> None:
@@ -55,9 +63,11 @@ def turn(ratio: float, S: Vector, total: Vector) -> None:
 
     Saltation, Leine and Nijmeijer (2004), Dynamics and Bifurcations of Non-Smooth Mechanical Systems, section 7.3.
     """
-    S[SPEED] *= ratio
+    for j in range(S.shape[1]):
+        S[SPEED, j] *= ratio
     if total.size > 0:
-        total[0, SPEED] *= ratio
+        for c in range(total.shape[2]):
+            total[0, SPEED, c] *= ratio
 
 
 def stop(
@@ -209,7 +219,8 @@ def integrate(
                 if then != side:
                     after = torque(y, p, t, u, h, then) if then != 0.0 else 0.0
                     turn(after / torque(y, p, t, u, h, side), S, work[6])
-            x[:] = y
+            for j in range(x.size):
+                x[j] = y[j]
             if abs(x[SPEED]) < 1e-200:
                 # A free rotor coasts for ever; among denormal numbers no instant of zero speed can be located.
                 x[SPEED] = 0.0
@@ -220,10 +231,11 @@ def integrate(
             grown = h * min(GROW, SAFETY * max(error, 1e-8) ** -0.25)
             # A step cut short by the end of a sample says nothing against the longer one that was planned.
             trial = max(grown, trial) if h < trial else grown
-        out[k + 1] = x
+        for j in range(x.size):
+            out[k + 1, j] = x[j]
         if kept.size > 0:
-            kept[k + 1] = S
+            copy(S, kept[k + 1])
         if matrices.size > 0:
-            matrices[k] = work[6][0]
+            copy(work[6][0], matrices[k])
     carry[0] = trial
     return -1

@@ -99,12 +99,16 @@ def propagate(
     linear(z, p, t, u, 0.5 * h, side, slots, a[1], g[1])
     linear(y, p, t, u, h, side, slots, a[2], g[2])
     if go == 0.0:
-        a[:, SPEED] = 0.0
-        g[:, SPEED] = 0.0
+        for q in range(3):
+            for c in range(n):
+                a[q, SPEED, c] = 0.0
+            for j in range(g.shape[2]):
+                g[q, SPEED, j] = 0.0
     transfer(h, m, a, stages, over)
     if go == 0.0:
         # What rests has no speed to be perturbed.
-        over[SPEED] = 0.0
+        for c in range(4 * n):
+            over[SPEED, c] = 0.0
     columns, forced = S.shape[1], g.shape[2] - 1
     for r in range(n):
         for j in range(columns):

@@ -1,19 +1,22 @@
-"""Two independent ways to evaluate a sensor's network: ONNX Runtime, and numpy reading the same file itself.
+"""Two independent ways to evaluate a sensor's network: numpy, with the graph folded, and ONNX Runtime with the file itself.
 
-Both always see blocks of the same shape, (64, F), with a sample at the row that its index gives it. A matrix product may
+Both always see tiles of the same shape, (F, 16), with a sample at the column that its index gives it. A matrix product may
 add in another order when its shape changes; with one shape, one sample has one result, live or replayed.
 """
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.bank import BLOCK
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.onnx_file import Node, OnnxFile
+from motorlens_runtime.folded import Linear, Step, fold
+from motorlens_runtime.onnx_file import OnnxFile
 
+TILE = 16
+# As many tiles in one go as keep the work in the cache.
+_AT_ONCE = 64
 Array = NDArray[np.float64]
 
 
@@ -23,7 +26,7 @@ class Backend(Protocol):
     name: str
 
     def evaluate(self, features: Array) -> tuple[Array, Array]:
-        """Estimates and sigmas, each (m, 64, K), of features (m, 64, F)."""
+        """Estimates and sigmas, each (m, K, 16), of features (m, F, 16)."""
         ...
 
 
@@ -44,8 +47,8 @@ class OrtBackend:
                 port.name: port.type for port in (*self._session.get_inputs(), *self._session.get_outputs())
             }
             dtype = {"tensor(float)": np.float32, "tensor(double)": np.float64}[kinds["features"]]
-            self._in = np.zeros((BLOCK, features), dtype=dtype)
-            self._out = {name: np.zeros((BLOCK, outputs), dtype=dtype) for name in ("estimate", "sigma")}
+            self._in = np.zeros((TILE, features), dtype=dtype)
+            self._out = {name: np.zeros((TILE, outputs), dtype=dtype) for name in ("estimate", "sigma")}
             self._binding = self._session.io_binding()
             self._binding.bind_input("features", "cpu", 0, dtype, self._in.shape, self._in.ctypes.data)
             for name, array in self._out.items():
@@ -58,108 +61,138 @@ class OrtBackend:
 
     def evaluate(self, features: Array) -> tuple[Array, Array]:
         """See `Backend`."""
-        shape = (*features.shape[:2], self._out["estimate"].shape[1])
+        shape = (len(features), self._out["estimate"].shape[1], TILE)
         estimate, sigma = np.empty(shape), np.empty(shape)
-        for block in range(len(features)):
-            self._in[:] = features[block]
+        for tile in range(len(features)):
+            self._in[:] = features[tile].T
             self._session.run_with_iobinding(self._binding)
-            estimate[block] = self._out["estimate"]
-            sigma[block] = self._out["sigma"]
+            estimate[tile] = self._out["estimate"].T
+            sigma[tile] = self._out["sigma"].T
         return estimate, sigma
 
 
 class NumpyBackend:
-    """The graph, node by node, in numpy.
+    """The folded graph in numpy, in float64.
+
+    Not for several threads at once: the work is done in memory that is kept.
 
     Raises:
-        ModelError: the graph has an operation that is not in the table below.
+        ModelError: the graph has an operation that `folded` does not know.
     """
 
     name = "numpy"
 
-    def __init__(self, model: OnnxFile, where: str) -> None:
-        unknown = sorted({node.op for node in model.nodes} - set(_OPERATIONS))
-        if unknown:
-            raise ModelError(f"{where}: the numpy backend has no {', '.join(unknown)}; install onnxruntime")
-        if model.inputs != ("features",) or set(model.outputs) != {"estimate", "sigma"}:
-            raise ModelError(
-                f"{where}: graph of {model.inputs} to {model.outputs}, not of features to estimate and sigma"
-            )
-        self._nodes = model.nodes
-        self._constants = model.constants
-        self._dtype = model.input_types[0]
+    def __init__(self, model: OnnxFile, features: int, where: str) -> None:
+        self._plan = _planned(model, features, where)
+        self._memory = [np.ones((_AT_ONCE, rows, TILE)) for rows in self._plan.rows]
+        self._spaces: dict[int, _Space] = {}
 
     def evaluate(self, features: Array) -> tuple[Array, Array]:
         """See `Backend`."""
-        shape = (*features.shape[:2], -1)
-        estimates, sigmas = [], []
-        for block in features.astype(self._dtype):
-            values: dict[str, NDArray[Any]] = {**self._constants, "features": block}
-            for node in self._nodes:
-                arguments = [values[name] for name in node.inputs if name]
-                results = _OPERATIONS[node.op](node, *arguments)
-                values.update(
-                    zip(node.outputs, results if isinstance(results, tuple) else (results,), strict=False)
-                )
-            estimates.append(values["estimate"])
-            sigmas.append(values["sigma"])
-        return (
-            np.array(estimates, dtype=np.float64).reshape(shape),
-            np.array(sigmas, dtype=np.float64).reshape(shape),
+        if len(features) <= _AT_ONCE:
+            estimate, sigma = self._run(features)
+            return estimate.copy(), sigma.copy()
+        parts = [
+            [part.copy() for part in self._run(features[start : start + _AT_ONCE])]
+            for start in range(0, len(features), _AT_ONCE)
+        ]
+        first, second = zip(*parts, strict=True)
+        return np.concatenate(first), np.concatenate(second)
+
+    def _run(self, features: Array) -> tuple[Array, Array]:
+        space = self._spaces.get(len(features))
+        if space is None:
+            space = self._spaces[len(features)] = _Space(self._plan, self._memory, len(features))
+        np.copyto(space.features, features)
+        for call, arguments, out in space.calls:
+            call(*arguments, out=out)
+        return space.estimate, space.sigma
+
+
+@dataclass(frozen=True)
+class _Use:
+    """Rows `start` to `end` of a memory: 0 is the columns, others are products."""
+
+    memory: int
+    start: int
+    end: int
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Products (rows, C), each with the first C columns and for all arguments that need just these, and when to do what.
+
+    `actions` in order: the memory of a product, or a step with where its arguments stand and its first column.
+    """
+
+    features: int
+    columns: int
+    products: tuple[Array, ...]
+    actions: tuple[int | tuple[Step, tuple[_Use, ...], int], ...]
+    estimate: _Use
+    sigma: _Use
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Of each memory."""
+        return (self.columns, *map(len, self.products))
+
+
+def _planned(model: OnnxFile, features: int, where: str) -> _Plan:
+    folded = fold(model, features, where)
+    wanted = [argument for step in folded.steps for argument in step.arguments]
+    uses: dict[int, _Use] = {}
+    groups: dict[int, list[Array]] = {}
+    for linear in (*wanted, folded.estimate, folded.sigma):
+        if id(linear) in uses:
+            continue
+        used = np.flatnonzero(linear.weights.any(axis=0))
+        needed, rows = int(used[-1]) + 1 if len(used) else 1, len(linear.weights)
+        if len(used) == rows and np.array_equal(linear.weights[:, needed - rows : needed], np.eye(rows)):
+            uses[id(linear)] = _Use(0, needed - rows, needed)
+            continue
+        group = groups.setdefault(needed, [])
+        start = sum(map(len, group))
+        uses[id(linear)] = _Use(1 + list(groups).index(needed), start, start + rows)
+        group.append(_padded(linear, needed))
+    actions: list[int | tuple[Step, tuple[_Use, ...], int]] = []
+
+    def need(arguments: tuple[_Use, ...]) -> None:
+        actions.extend(use.memory for use in arguments if use.memory and use.memory not in actions)
+
+    column = features + 1
+    for step in folded.steps:
+        arguments = tuple(dict.fromkeys(uses[id(argument)] for argument in step.arguments))
+        need(arguments)
+        actions.append((step, tuple(uses[id(argument)] for argument in step.arguments), column))
+        column += step.width
+    results = uses[id(folded.estimate)], uses[id(folded.sigma)]
+    need(tuple(dict.fromkeys(results)))
+    products = tuple(np.concatenate(group) for group in groups.values())
+    return _Plan(features, column, products, tuple(actions), *results)
+
+
+def _padded(linear: Linear, columns: int) -> Array:
+    weights = linear.weights[:, :columns]
+    return np.pad(weights, ((0, 0), (0, columns - weights.shape[1])))
+
+
+class _Space:
+    """A plan on the first tiles of the memory: what to call, with what, into what."""
+
+    def __init__(self, plan: _Plan, memory: list[Array], tiles: int) -> None:
+        memory = [part[:tiles] for part in memory]
+        columns = memory[0]
+        self.features = columns[:, : plan.features]
+        self.calls: list[tuple[Any, tuple[Array, ...], Array]] = []
+        for action in plan.actions:
+            if isinstance(action, int):
+                matrix = plan.products[action - 1]
+                self.calls.append((np.matmul, (matrix, columns[:, : matrix.shape[1]]), memory[action]))
+            else:
+                step, uses, column = action
+                arguments = tuple(memory[use.memory][:, use.start : use.end] for use in uses)
+                self.calls.append((step.function, arguments, columns[:, column : column + step.width]))
+        self.estimate, self.sigma = (
+            memory[use.memory][:, use.start : use.end] for use in (plan.estimate, plan.sigma)
         )
-
-
-def _gemm(node: Node, a: NDArray[Any], b: NDArray[Any], c: NDArray[Any] | None = None) -> NDArray[Any]:
-    alpha, beta = node.attributes.get("alpha", 1.0), node.attributes.get("beta", 1.0)
-    a, b = (a.T if node.attributes.get("transA") else a), (b.T if node.attributes.get("transB") else b)
-    product: NDArray[Any] = a @ b if alpha == 1.0 else a.dtype.type(alpha) * (a @ b)
-    if c is None:
-        return product
-    result: NDArray[Any] = product + (c if beta == 1.0 else c.dtype.type(beta) * c)
-    return result
-
-
-def _slice(
-    node: Node, data: NDArray[Any], starts: NDArray[Any], ends: NDArray[Any], *rest: NDArray[Any]
-) -> NDArray[Any]:
-    axes = rest[0] if rest else np.arange(len(starts))
-    steps = rest[1] if len(rest) > 1 else np.ones(len(starts), dtype=np.int64)
-    index = [slice(None)] * data.ndim
-    for axis, start, end, step in zip(axes, starts, ends, steps, strict=True):
-        index[int(axis)] = slice(int(start), int(end), int(step))
-    part: NDArray[Any] = data[tuple(index)]
-    return part
-
-
-def _split(node: Node, data: NDArray[Any], sizes: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    return tuple(np.split(data, np.cumsum(sizes)[:-1], axis=node.attributes.get("axis", 0)))
-
-
-def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda node, *arguments: function(*arguments)
-
-
-_CASTS = {1: np.float32, 6: np.int32, 7: np.int64, 11: np.float64}
-
-_OPERATIONS: dict[str, Callable[..., Any]] = {
-    "Gemm": _gemm,
-    "Slice": _slice,
-    "Split": _split,
-    "Concat": lambda node, *parts: np.concatenate(parts, axis=node.attributes["axis"]),
-    "Gather": lambda node, data, index: np.take(data, index, axis=node.attributes.get("axis", 0)),
-    "Cast": lambda node, data: data.astype(_CASTS[node.attributes["to"]]),
-    "Clip": lambda node, data, *limits: np.clip(data, *(*limits, None, None)[:2]),
-    "Constant": lambda node: node.attributes["value"],
-    "Softplus": _elementwise(lambda x: np.logaddexp(x, x.dtype.type(0))),
-    "Sigmoid": _elementwise(lambda x: 1 / (1 + np.exp(-x))),
-    "Relu": _elementwise(lambda x: np.maximum(x, 0)),
-    **{
-        op: _elementwise(function)
-        for op, function in {
-            "Identity": np.positive, "MatMul": np.matmul, "Add": np.add, "Sub": np.subtract, "Mul": np.multiply,
-            "Div": np.divide, "Neg": np.negative, "Abs": np.abs, "Tanh": np.tanh, "Exp": np.exp, "Log": np.log,
-            "Sqrt": np.sqrt, "Pow": np.power, "Reciprocal": np.reciprocal, "Max": np.maximum, "Min": np.minimum,
-            "Sin": np.sin, "Cos": np.cos,
-        }.items()
-    },
-}  # fmt: skip

@@ -1,178 +1,184 @@
 """The filter bank: first-order low-passes of the signals, exact over any step, in float64.
 
-`s' = u + (s - u) exp(-dt / tau)`. The recursion is evaluated in blocks of 64 samples by a prefix scan (Hillis and Steele,
-Commun. ACM 29(12), 1986) whose blocks are aligned to the sample's index since the start, not to the call. Every operation is
-one IEEE multiplication or addition of two array elements, in an order that the index alone decides, so the result is the
-same to the last bit however the samples are cut into calls. A matrix product would be as fast and not promise that.
+`s' = u + (s - u) exp(-dt / tau)`. Samples are taken in blocks of 64, aligned to the sample's index since the start, not to
+the call. Within a block the recursion `y' = a y + (1 - a) u` starts from zero, the decays `r' = a r` from one, and the value
+is `y + r s` with s the value before the block: so many blocks are computed side by side. Every operation is one IEEE
+multiplication or addition of two array elements, in an order that the index alone decides, so the result is the same to the
+last bit however the samples are cut into calls. A matrix product would be as fast and not promise that.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.specification import Specification
+from motorlens_runtime.specification import Specification, signals_of
 
 BLOCK = 64
-_SHIFTS = (1, 2, 4, 8, 16, 32)
+# As many blocks side by side as keep the work in the cache.
+_BLOCKS_AT_ONCE = 64
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class BankState:
-    """State of S filters: value before the block that is being filled, and the rows in that block so far.
-
-    `carry` (S,), `dt_s` (p,), `drive` (p, S) with p < 64; `count` is the number of samples since the start.
-    """
+    """State of S filters after `count` samples, arrays (S,): `before` the block that is being filled, the response
+    `inside` it from zero, and the product of the decays since it began, `reach`."""
 
     count: int
-    carry: Array
-    dt_s: Array
-    signals: Array
+    before: Array
+    inside: Array
+    reach: Array
 
 
 class FilterBank:
-    """S low-passes; `signals` names the signal of each, `tau_s` its time constant."""
+    """S low-passes.
 
-    def __init__(self, signals: Sequence[str], tau_s: Sequence[float]) -> None:
+    Args:
+        signals: the name of the signal of each.
+        tau_s: its time constant.
+        inputs: the row of `advance`'s signals that each filters; None is one row for each.
+    """
+
+    def __init__(
+        self, signals: Sequence[str], tau_s: Sequence[float], inputs: NDArray[np.intp] | None = None
+    ) -> None:
         self.signals = tuple(signals)
         self.tau_s = np.array(tau_s, dtype=np.float64)
+        self._inputs = np.arange(len(self.signals)) if inputs is None else inputs
         self._key = tuple(self.tau_s.tolist())
 
     def start(self, values: Array | None = None) -> BankState:
         """A fresh state: all filters at zero, or at `values` (S,)."""
         width = len(self.signals)
-        carry = np.zeros(width) if values is None else np.array(values, dtype=np.float64).reshape(width)
-        return BankState(0, carry, np.zeros(0), np.zeros((0, width)))
+        before = np.zeros(width) if values is None else np.array(values, dtype=np.float64).reshape(width)
+        return BankState(0, before, np.zeros(width), np.ones(width))
 
     def values(self, state: BankState) -> Array:
         """The filters' values (S,) after the last sample."""
-        if not len(state.dt_s):
-            return state.carry
-        _, filtered = self.advance(
-            replace(state, dt_s=state.dt_s[:0], signals=state.signals[:0]), state.dt_s, state.signals
-        )
-        last: Array = filtered[-1]
-        return last
+        result: Array = state.inside + state.reach * state.before
+        return result
 
-    def advance(self, state: BankState, dt_s: Array, signals: Array) -> tuple[BankState, Array]:
+    def advance(
+        self, state: BankState, dt_s: Array, signals: Array, rows: NDArray[np.intp] | None = None
+    ) -> tuple[BankState, Array]:
         """Feed n samples.
 
         Args:
             state: where the filters stand.
             dt_s: (n,) time since the previous sample; 0 leaves the state as it is.
-            signals: (n, S) the signal of each filter at the new sample.
+            signals: (U, n) at the new samples.
+            rows: (m,) indices in rising order of the samples whose values are asked for; None is all.
 
         Returns:
-            the new state, and the filters' values (n, S) after each sample.
+            the new state, and the filters' values (S, m) after each of those samples.
         """
-        done = len(state.dt_s)
-        rows = done + len(dt_s)
+        n = len(dt_s)
+        first = min(-state.count % BLOCK, n)
+        blocks = (n - first) // BLOCK
+        if not blocks:
+            return self._one_by_one(state, dt_s, signals, range(n) if rows is None else rows.tolist())
+        values = np.empty((len(self.signals), n))
+        state, values[:, :first] = self._one_by_one(state, dt_s[:first], signals[:, :first], range(first))
+        for start in range(first, first + blocks * BLOCK, _BLOCKS_AT_ONCE * BLOCK):
+            end = min(start + _BLOCKS_AT_ONCE * BLOCK, first + blocks * BLOCK)
+            state = self._side_by_side(state, dt_s[start:end], signals[:, start:end], values[:, start:end])
+        end = first + blocks * BLOCK
+        state, values[:, end:] = self._one_by_one(state, dt_s[end:], signals[:, end:], range(n - end))
+        return state, values if rows is None else values[:, rows]
+
+    def _one_by_one(
+        self, state: BankState, dt_s: Array, signals: Array, rows: Sequence[int]
+    ) -> tuple[BankState, Array]:
+        """The recursion as it stands, for the few samples of a live line."""
+        values = np.empty((len(self.signals), len(rows)))
         if not len(dt_s):
-            return state, np.zeros((0, len(self.signals)))
-        dt = np.concatenate((state.dt_s, dt_s)) if done else dt_s
-        drive = np.concatenate((state.signals, signals)) if done else signals
-        if rows < BLOCK:
-            # The usual case on a live line: everything still fits into the block that is being filled.
-            filtered = self._one(state.carry, dt, drive)
-            return BankState(state.count + len(dt_s), state.carry, dt, drive), filtered[done:]
-        blocks = -(-rows // BLOCK)
-        # What fills up the last block comes after every real sample and is cut off again.
-        dt_blocks = np.full(blocks * BLOCK, dt[-1])
-        dt_blocks[:rows] = dt
-        u = np.zeros((blocks * BLOCK, len(self.signals)))
-        u[:rows] = drive
-        values, carry = self._scan(
-            state.carry, dt_blocks.reshape(blocks, BLOCK), u.reshape(blocks, BLOCK, len(self.signals))
-        )
-        full = rows // BLOCK
-        new = BankState(state.count + len(dt_s), carry[full], dt[full * BLOCK :], drive[full * BLOCK :])
-        return new, values.reshape(blocks * BLOCK, len(self.signals))[done:rows]
-
-    def _one(self, carry: Array, dt: Array, u: Array) -> Array:
-        """Values (n, S) of one unfinished block of n < 64 rows."""
-        step = float(dt[0])
-        if (dt == step).all():
-            levels = _uniform_levels(step, self._key)
-            values: Array = _uniform(levels, u[None])[0]
-            values += levels.reach[: len(u)] * carry
-            return values
-        y, reach = _irregular(np.exp(-dt[None, :, None] / self.tau_s), u[None])
-        values = y[0]
-        values += reach[0] * carry
-        return values
-
-    def _scan(self, carry: Array, dt: Array, u: Array) -> tuple[Array, Array]:
-        """Values (blocks, 64, S), and the state before each block and after the last, (blocks + 1, S)."""
-        uniform = (dt == dt[:, :1]).all(axis=1)
-        y = np.empty_like(u)
-        reach = np.empty_like(u)  # product of the decays from the start of the block to here
-        if not uniform.all():
-            y[~uniform], reach[~uniform] = _irregular(
-                np.exp(-dt[~uniform][:, :, None] / self.tau_s), u[~uniform]
-            )
-        for step in np.unique(dt[uniform, 0]).tolist():
-            same = uniform & (dt[:, 0] == step)
-            levels = _uniform_levels(step, self._key)
-            if same.all():
-                y, reach = _uniform(levels, u), np.broadcast_to(levels.reach, u.shape)
+            return state, values
+        steps, place, before = dt_s.tolist(), state.count % BLOCK, state.before
+        # Response and reach decay alike: one multiplication for both.
+        both = np.array((state.inside, state.reach))
+        inside, reach = both
+        gained = signals.take(self._inputs, axis=0).T
+        if steps.count(steps[0]) == len(steps):
+            decay, gain = _decay(steps[0], self._key)
+            decays, gained = [decay] * len(steps), gain * gained
+        else:
+            pairs = [_decay(step, self._key) for step in steps]
+            decays, gained = [decay for decay, _ in pairs], np.array([gain for _, gain in pairs]) * gained
+        asked, column = [*rows, -1], 0
+        for k, decay in enumerate(decays):
+            if place:
+                both *= decay
+                inside += gained[k]
             else:
-                y[same], reach[same] = _uniform(levels, u[same]), levels.reach
-        carries = np.empty((len(u) + 1, u.shape[2]))
-        carries[0] = carry
-        last_reach, last_y = np.ascontiguousarray(reach[:, -1]), np.ascontiguousarray(y[:, -1])
-        for block in range(len(u)):
-            np.multiply(last_reach[block], carries[block], out=carries[block + 1])
-            carries[block + 1] += last_y[block]
-        y += reach * carries[:-1, None, :]
-        return y, carries
+                inside[:], reach[:] = gained[k], decay
+            place += 1
+            if k == asked[column]:
+                values[:, column] = inside + reach * before
+                column += 1
+            if place == BLOCK:
+                before = inside + reach * before
+                inside[:], reach[:], place = 0.0, 1.0, 0
+        return BankState(state.count + len(steps), before, inside, reach), values
+
+    def _side_by_side(self, state: BankState, dt_s: Array, signals: Array, values: Array) -> BankState:
+        """Whole blocks, the recursion of all of them in step; writes `values` (S, blocks * 64)."""
+        width, blocks = len(self.signals), len(dt_s) // BLOCK
+        # Time within the block comes first, so that each step of the recursion is one stretch of memory.
+        inputs = np.ascontiguousarray(signals.reshape(len(signals), blocks, BLOCK).transpose(2, 0, 1))
+        y = inputs.take(self._inputs, axis=1)
+        if (dt_s == dt_s[0]).all():
+            decay, gain = _decay(float(dt_s[0]), self._key)
+            y *= gain[:, None]
+            decays: Any = (np.repeat(decay[:, None], blocks, axis=1),) * BLOCK
+            reach = _reach(float(dt_s[0]), self._key)[:, :, None]
+        else:
+            dt = dt_s.reshape(blocks, BLOCK).T
+            each = np.exp(-dt[:, None, :] / self.tau_s[:, None])
+            y *= 1.0 - each
+            decays = each
+            reach = each.copy()
+            for k in range(1, BLOCK):
+                reach[k] *= reach[k - 1]
+        part = np.empty((width, blocks))
+        for k in range(1, BLOCK):
+            np.multiply(decays[k], y[k - 1], out=part)
+            step = y[k]
+            step += part
+        before = np.empty((blocks + 1, width))
+        before[0] = state.before
+        reached = np.ascontiguousarray(np.broadcast_to(reach[-1], (width, blocks)).T)
+        inside = np.ascontiguousarray(y[-1].T)
+        for block in range(blocks):
+            np.multiply(reached[block], before[block], out=before[block + 1])
+            before[block + 1] += inside[block]
+        earlier = np.ascontiguousarray(before[:-1].T)
+        for k in range(0, BLOCK, 8):
+            y[k : k + 8] += reach[k : k + 8] * earlier
+        np.copyto(values.reshape(width, blocks, BLOCK), y.transpose(1, 2, 0))
+        return BankState(state.count + len(dt_s), before[-1].copy(), np.zeros(width), np.ones(width))
 
 
 def bank_of(specification: Specification) -> FilterBank:
     """The filter bank that a specification asks for."""
-    return FilterBank([f.signal for f in specification.filters], [f.tau_s for f in specification.filters])
-
-
-def _irregular(decay: Array, u: Array) -> tuple[Array, Array]:
-    """Scan of (decay, drive) pairs along axis 1; returns the values from a zero state and the products of the decays."""
-    y = (1.0 - decay) * u
-    for shift in _SHIFTS:
-        if shift >= decay.shape[1]:
-            break
-        y[:, shift:] += decay[:, shift:] * y[:, :-shift]
-        decay[:, shift:] = decay[:, shift:] * decay[:, :-shift]
-    return y, decay
-
-
-@dataclass(frozen=True)
-class _Levels:
-    """What a scan multiplies with when all steps are alike: `gain` (S,), `factors` (64 - shift, S), `reach` (64, S)."""
-
-    gain: Array
-    factors: tuple[Array, ...]
-    reach: Array
-
-
-def _uniform(levels: _Levels, u: Array) -> Array:
-    """The same scan when all decays are alike: its factors, computed once by the same operations, are `levels`."""
-    y: Array = levels.gain * u
-    rows = u.shape[1]
-    for shift, factor in zip(_SHIFTS, levels.factors, strict=True):
-        if shift >= rows:
-            break
-        y[:, shift:] += factor[: rows - shift] * y[:, :-shift]
-    return y
+    filters, used = specification.filters, signals_of(specification)
+    inputs = np.array([used.index(f.signal) for f in filters], dtype=np.intp)
+    return FilterBank([f.signal for f in filters], [f.tau_s for f in filters], inputs)
 
 
 @lru_cache(maxsize=64)
-def _uniform_levels(step: float, tau_s: tuple[float, ...]) -> _Levels:
-    decay = np.repeat(np.exp(-step / np.array(tau_s))[None], BLOCK, axis=0)
-    gain = 1.0 - decay[0]
-    factors = []
-    for shift in _SHIFTS:
-        factors.append(decay[shift:].copy())
-        decay[shift:] = decay[shift:] * decay[:-shift]
-    return _Levels(gain, tuple(factors), decay)
+def _decay(step: float, tau_s: tuple[float, ...]) -> tuple[Array, Array]:
+    """The decay over a step, (S,), and what is left of one."""
+    decay = np.exp(-step / np.array(tau_s))
+    return decay, 1.0 - decay
+
+
+@lru_cache(maxsize=16)
+def _reach(step: float, tau_s: tuple[float, ...]) -> Array:
+    """Products of the decays from the start of a block, (64, S)."""
+    decay, _ = _decay(step, tau_s)
+    return np.multiply.accumulate(np.repeat(decay[None], BLOCK, axis=0), axis=0)

@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.bank import BLOCK, BankState
+from motorlens_runtime.backend import TILE
+from motorlens_runtime.bank import BankState
 from motorlens_runtime.features import Channels
 from motorlens_runtime.gate import Gate, GateState, Samples
 from motorlens_runtime.quality import Quality, mark
-from motorlens_runtime.sensor import Sensor, scales
+from motorlens_runtime.sensor import Sensor, scales, tiled, untiled
 
 Array = NDArray[np.float64]
 
-# The second backend looks at every so many canonical blocks of 64 samples, always at the first.
-_CHECK_EVERY = 256
+# The second backend looks at every so many tiles of 16 samples, always at the first.
+_CHECK_EVERY = 1024
+# As many tiles in one go as keep the work in the cache.
+_TILES_AT_ONCE = 64
 _CHECK_TOLERANCE = 1e-3
 
 
@@ -61,6 +64,11 @@ class Estimator:
         if len(self.state.observer) != len(fresh_observer):
             self.state = replace(self.state, observer=fresh_observer)
         self._gate = Gate(sensor.specification, period_s)
+        self._outputs, self._scales = len(sensor.specification.outputs), scales(sensor.specification)
+        envelope = sensor.specification.envelope
+        self._mean = None if envelope.mean is None else envelope.mean[:, None]
+        if envelope.cholesky is not None:
+            self._whitening, self._limit = np.ascontiguousarray(envelope.cholesky.T), envelope.limit
 
     def push(self, samples: Samples, rows: NDArray[np.intp] | None = None) -> Estimates:
         """Take in n samples and evaluate the sensor at `rows` of them (indices in rising order; None is all).
@@ -82,9 +90,11 @@ class Estimator:
         mismatch = self.state.mismatch
         chosen: NDArray[np.intp] | slice = slice(None) if rows is None else rows
         values, sigma, outside, disagree = self._evaluate(features, start, rows)
-        quality = gated.quality[chosen].copy()
-        mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
-        mark(quality, ~(np.isfinite(values) & np.isfinite(sigma)).all(axis=1), Quality.NOT_FINITE)
+        quality = gated.quality[chosen] if rows is not None else gated.quality
+        if outside.any():
+            mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
+        if not (np.isfinite(values).all() and np.isfinite(sigma).all()):
+            mark(quality, ~(np.isfinite(values) & np.isfinite(sigma)).all(axis=1), Quality.NOT_FINITE)
         # Once two implementations have disagreed, neither is believed until the sensor is loaded again.
         if mismatch:
             mark(quality, slice(None), Quality.BACKEND_MISMATCH)
@@ -98,42 +108,58 @@ class Estimator:
     ) -> tuple[Array, Array, NDArray[np.bool_], int | None]:
         """Values and sigmas (m, K), which rows are outside the envelope, and the first row where two backends differ.
 
-        `start` is the number of samples before this call. Each row stands where its index since the very first sample
-        puts it in a block of 64; see `backend`.
+        `features` (F, m); `start` is the number of samples before this call. Each row stands where its index since the very
+        first sample puts it in a tile; see `backend`.
         """
-        outputs = len(self.sensor.specification.outputs)
-        if not len(features):
-            return np.zeros((0, outputs)), np.zeros((0, outputs)), np.zeros(0, dtype=bool), None
+        m = features.shape[1]
+        if not m:
+            empty = np.zeros((0, self._outputs))
+            return empty, empty, np.zeros(0, dtype=bool), None
         if rows is None:
-            numbers = np.arange(start // BLOCK, (start + len(features) - 1) // BLOCK + 1)
-            place: Any = slice(start % BLOCK, start % BLOCK + len(features))
+            first = start // TILE
+            place: Any = slice(start % TILE, start % TILE + m)
+            tiles = tiled(features, start % TILE)
+            numbers = np.arange(first, first + len(tiles))
+        elif m == 1:
+            alone, at = divmod(start + int(rows[0]), TILE)
+            numbers, place = np.array((alone,)), slice(at, at + 1)
+            tiles = np.zeros((1, len(features), TILE))
+            tiles[0, :, at] = features[:, 0]
         else:
-            number, place = np.divmod(start + rows, BLOCK)
-            numbers = number[:1]
-            if number[-1] != number[0]:
-                new = np.diff(number, prepend=number[0] - 1) != 0
-                numbers = number[new]
-                place += (np.cumsum(new) - 1) * BLOCK
-        table = np.zeros((len(numbers) * BLOCK, features.shape[1]))
-        table[place] = features
-        blocks = table.reshape(len(numbers), BLOCK, -1)
-        estimate, sigma = self.sensor.backend.evaluate(blocks)
+            number, place = np.divmod(start + rows, TILE)
+            new = np.diff(number, prepend=number[0] - 1) != 0
+            numbers = number[new]
+            place += (np.cumsum(new) - 1) * TILE
+            table = np.zeros((len(features), len(numbers) * TILE))
+            table[:, place] = features
+            tiles = tiled(table, 0)
+        estimate, sigma = self.sensor.backend.evaluate(tiles)
         disagree = None
-        checked = np.flatnonzero(numbers % _CHECK_EVERY == 0)
-        if self.sensor.checker is not None and len(checked):
-            second, _ = self.sensor.checker.evaluate(blocks[checked])
-            error = np.abs(second - estimate[checked]) / scales(self.sensor.specification)
-            wrong = np.zeros(estimate.shape[:2], dtype=bool)
-            wrong[checked] = ~(error <= _CHECK_TOLERANCE).all(axis=2)
-            at = np.flatnonzero(wrong.reshape(-1)[place])
-            disagree = int(at[0]) if len(at) else None
-        values, deviations = estimate.reshape(-1, outputs)[place], sigma.reshape(-1, outputs)[place]
-        return values, deviations, self._outside(blocks).reshape(-1)[place], disagree
+        if self.sensor.checker is not None and -int(numbers[0]) % _CHECK_EVERY <= numbers[-1] - numbers[0]:
+            disagree = self._disagreement(tiles, numbers, place, estimate)
+        outside = self._outside(tiles)[place]
+        return untiled(estimate)[:, place].T, untiled(sigma)[:, place].T, outside, disagree
 
-    def _outside(self, blocks: Array) -> NDArray[np.bool_]:
-        envelope = self.sensor.specification.envelope
-        if envelope.mean is None or envelope.cholesky is None:
-            return np.zeros(blocks.shape[:2], dtype=bool)
-        distance = np.square((blocks - envelope.mean) @ envelope.cholesky).sum(axis=2)
-        outside: NDArray[np.bool_] = distance > envelope.limit
-        return outside
+    def _disagreement(
+        self, tiles: Array, numbers: NDArray[np.intp], place: Any, estimate: Array
+    ) -> int | None:
+        """The first row where the second backend differs, among the tiles at which it looks."""
+        assert self.sensor.checker is not None
+        checked = np.flatnonzero(numbers % _CHECK_EVERY == 0)
+        second, _ = self.sensor.checker.evaluate(tiles[checked])
+        error = np.abs(second - estimate[checked]) / self._scales[:, None]
+        wrong = np.zeros((len(tiles), TILE), dtype=bool)
+        wrong[checked] = ~(error <= _CHECK_TOLERANCE).all(axis=1)
+        at = np.flatnonzero(wrong.reshape(-1)[place])
+        return int(at[0]) if len(at) else None
+
+    def _outside(self, tiles: Array) -> NDArray[np.bool_]:
+        """Which columns of the tiles are outside the envelope, (t * 16,)."""
+        outside = np.zeros((len(tiles), TILE), dtype=bool)
+        if self._mean is not None:
+            for start in range(0, len(tiles), _TILES_AT_ONCE):
+                part = slice(start, start + _TILES_AT_ONCE)
+                distance = self._whitening @ (tiles[part] - self._mean)
+                distance *= distance
+                np.greater(np.add.reduce(distance, axis=1), self._limit, out=outside[part])
+        return outside.reshape(-1)

@@ -29,19 +29,21 @@ class Extractor:
         self, bank: BankState, observer: State, channels: Channels, dt_s: Array, used: NDArray[np.bool_],
         rows: NDArray[np.intp] | None,
     ) -> tuple[BankState, State, Array]:  # fmt: skip
-        """Feed n samples; the new states, and the features (m, F) at `rows` (None: all).
+        """Feed n samples; the new states, and the features (F, m) at `rows` (None: all).
 
         `dt_s` (n,) is the time since the previous used sample, 0 where a sample is not `used`.
         """
         signals = self.map.signals(channels)
-        bank, filtered = self.bank.advance(bank, dt_s, self.map.drive(signals))
+        bank, filtered = self.bank.advance(bank, dt_s, signals, rows)
         observed = None
         if self.observer is not None:
-            observer, observed = self.observer.advance(
+            observer, outputs = self.observer.advance(
                 observer, channels.voltage_V, channels.current_A, channels.ambient_C, dt_s, used, rows
             )
-        chosen = slice(None) if rows is None else rows
-        return bank, observer, self.map.features(signals[chosen], filtered[chosen], observed)
+            observed = outputs.T
+        if rows is not None:
+            signals = signals.take(rows, axis=1)
+        return bank, observer, self.map.features(signals, filtered, observed)
 
 
 def extractor_of(specification: Specification) -> Extractor:

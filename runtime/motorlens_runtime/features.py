@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.specification import Specification
+from motorlens_runtime.specification import Specification, signals_of
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
@@ -24,55 +24,46 @@ class Channels:
 class FeatureMap:
     """How features are made of signals and filters, as index arrays: each is a column, or the difference of two.
 
-    The columns are the signals that are used, then the S filters, then one of zeros, then the outputs of the observer.
+    The columns are the U signals that are used, then the S filters, then the outputs of the observer. All arrays have time
+    along their last axis.
     """
 
     def __init__(self, specification: Specification) -> None:
         filters, features = specification.filters, specification.features
-        used = dict.fromkeys(f.signal for f in filters) | dict.fromkeys(
-            f.signal for f in features if f.signal
-        )
-        self._signals = tuple(used)
+        self._signals = signals_of(specification)
         self._resistance_ohm = specification.resistance_ohm
         place = {name: index for index, name in enumerate(self._signals)}
         first = len(place)
-        zero = first + len(filters)
-        self._drive = np.array([place[f.signal] for f in filters], dtype=np.intp)
-        pairs = []
+        observed = first + len(filters)
+        pairs: list[tuple[int, ...]] = []
         for feature in features:
-            of_signal = place.get(feature.signal, zero)
-            of_filters = [first + index for index in feature.filters]
-            pairs.append(
-                {
-                    "raw": (of_signal, zero),
-                    "lowpass": (*of_filters, zero),
-                    "difference": (of_signal, *of_filters),
-                    "between": tuple(of_filters),
-                    "observer": (zero + 1 + feature.output, zero),
-                }[feature.kind]
-            )
-        self._plus, self._minus = (np.array(column, dtype=np.intp) for column in zip(*pairs, strict=True))
+            of_filters = tuple(first + index for index in feature.filters)
+            if feature.kind == "observer":
+                pairs.append((observed + feature.output,))
+            elif feature.signal:
+                pairs.append((place[feature.signal], *of_filters))
+            else:
+                pairs.append(of_filters)
+        self._plus = np.array([pair[0] for pair in pairs], dtype=np.intp)
+        self._differences = np.array([k for k, pair in enumerate(pairs) if len(pair) > 1], dtype=np.intp)
+        self._minus = np.array([pair[1] for pair in pairs if len(pair) > 1], dtype=np.intp)
 
     def signals(self, channels: Channels) -> Array:
-        """The signals (n, used) of n samples."""
-        columns: Columns = {"voltage": channels.voltage_V, "current": channels.current_A}
+        """The signals (U, n) of n samples."""
+        known: Columns = {"voltage": channels.voltage_V, "current": channels.current_A}
         if channels.ambient_C is not None:
-            columns["ambient"] = channels.ambient_C
-        table = np.empty((len(channels.voltage_V), len(self._signals)))
-        for index, name in enumerate(self._signals):
-            table[:, index] = _signal(name, columns, self._resistance_ohm)
+            known["ambient"] = channels.ambient_C
+        table = np.empty((len(self._signals), len(channels.voltage_V)))
+        for row, name in enumerate(self._signals):
+            table[row] = _signal(name, known, self._resistance_ohm)
         return table
 
-    def drive(self, signals: Array) -> Array:
-        """The input (n, S) of each filter."""
-        return signals.take(self._drive, axis=1)
-
     def features(self, signals: Array, filtered: Array, observed: Array | None) -> Array:
-        """Features (m, F) in SI, of signals (m, used), filters (m, S) and observer outputs (m, M) after the same samples."""
-        parts = [signals, filtered, np.zeros((len(signals), 1))]
-        table = np.concatenate(parts if observed is None else [*parts, observed], axis=1)
-        features: Array = table.take(self._plus, axis=1)
-        features -= table.take(self._minus, axis=1)
+        """Features (F, m) in SI, of signals (U, m), filters (S, m) and observer outputs (M, m) after the same samples."""
+        columns = np.concatenate((signals, filtered) if observed is None else (signals, filtered, observed))
+        features = columns.take(self._plus, axis=0)
+        if len(self._minus):
+            features[self._differences] -= columns[self._minus]
         return features
 
 

@@ -5,6 +5,8 @@ and its doubts are said in the quality word. All decisions depend on earlier sam
 """
 
 from dataclasses import dataclass, replace
+from math import isfinite
+from operator import sub
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,9 @@ _ABSURD = 10.0
 _REPEATS = 64
 _MOVE_SHARE = 0.01
 _NEVER = np.iinfo(np.int64).max
+# Up to so many samples, plain numbers are faster than arrays.
+_FEW = 64
+_OUTSIDE = np.uint32(Quality.OUTSIDE_ENVELOPE)
 # A current above this share of its range is no rest.
 _FLOWING_SHARE = 0.05
 
@@ -89,6 +94,7 @@ class Gate:
             3e-9 * max(map(abs, envelope.voltage_V)) / inductance_H if inductance_H > 0 else np.inf
         )
         self._usual_rate = self._slowest_ns >= self._period_ns >= self._fastest_ns
+        self._ones = np.ones(_FEW, dtype=bool)
         self._current_limit = _ABSURD * max(map(abs, envelope.current_A))
 
     def inspect(self, state: GateState, samples: Samples) -> tuple[GateState, Gated]:
@@ -144,53 +150,54 @@ class Gate:
 
         What it returns is what the full inspection would; it only costs a tenth.
         """
-        time_ns, voltage, current = samples.time_ns, samples.voltage_V, samples.current_A
-        n = len(time_ns)
-        if not n or state.last_ns is None or state.first_ns is None or self._specification.needs_ambient:
+        n = len(samples.time_ns)
+        if not 0 < n <= _FEW or state.last_ns is None or state.first_ns is None:
             return None
-        first, last = int(time_ns[0]), int(time_ns[-1])
+        if self._specification.needs_ambient:
+            return None
+        period_ns, first = self._period_ns, state.last_ns + self._period_ns
         if (
-            first - state.last_ns != self._period_ns
-            or last - first != (n - 1) * self._period_ns
-            or not self._usual_rate
-            or first < state.bridged_until_ns
+            first < state.bridged_until_ns
             or first - state.first_ns < self._warm_up_ns
-            or (n > 1 and not (time_ns[1:] - time_ns[:-1] == self._period_ns).all())
+            or samples.time_ns.tolist() != list(range(first, first + n * period_ns, period_ns))
         ):
             return None
-        envelope = self._specification.envelope
-        lowest, highest = float(np.minimum.reduce(voltage)), float(np.maximum.reduce(voltage))
-        # Each comparison is false for NaN.
-        if not (envelope.voltage_V[0] <= lowest and highest <= envelope.voltage_V[1]):
+        voltage, current = samples.voltage_V.tolist(), samples.current_A.tolist()
+        if not isfinite(sum(voltage) + sum(current)):
             return None
-        if not (
-            envelope.current_A[0] <= np.minimum.reduce(current)
-            and np.maximum.reduce(current) <= envelope.current_A[1]
-        ):
+        lowest, highest, weakest, strongest = min(voltage), max(voltage), min(current), max(current)
+        if max(-lowest, highest) > self._voltage_limit or max(-weakest, strongest) > self._current_limit:
             return None
-        steps = np.empty(n)
-        steps[0] = current[0] - state.current_A
-        np.subtract(current[1:], current[:-1], out=steps[1:])
-        if np.maximum.reduce(np.abs(steps)) > self._slew_limit(self._period_ns):
+        steps = list(map(sub, current, (state.current_A, *current)))
+        if max(map(abs, steps)) > self._slew_limit(period_ns):
             return None
         low, high = min(lowest, state.voltage_V), max(highest, state.voltage_V)
         if high - low > _MOVE_SHARE * self._voltage_span or low <= 0 <= high:
             return None  # a move of the voltage, or a dead one, needs the full account
-        changed = np.flatnonzero(steps)
+        changed = [k for k, step in enumerate(steps) if step]
         end = state.count + n
         since, first_move = state.current_since, state.first_move
-        if (end - 1 if len(changed) == 0 else state.count + int(changed[0]) - 1) - first_move >= _REPEATS:
+        if (state.count + changed[0] if changed else end) - 1 - first_move >= _REPEATS:
             return None
-        if len(changed):
-            since, first_move = state.count + int(changed[-1]), _NEVER
+        if changed:
+            since, first_move = state.count + changed[-1], _NEVER
         new = GateState(
-            state.first_ns, last, float(voltage[-1]), float(current[-1]), state.ambient_C, state.bridged_until_ns, end,
-            since, first_move, end - 1,
+            state.first_ns, first + (n - 1) * period_ns, voltage[-1], current[-1], state.ambient_C, state.bridged_until_ns,
+            end, since, first_move, end - 1,
         )  # fmt: skip
-        quality = np.zeros(n, dtype=np.uint32) if samples.flags is None else samples.flags.astype(np.uint32)
-        ambient = None
+        quality = np.zeros(n, dtype=np.uint32) if samples.flags is None else samples.flags.copy()
+        envelope = self._specification.envelope
+        if not self._usual_rate:
+            quality |= _OUTSIDE
+        elif (
+            lowest < envelope.voltage_V[0]
+            or highest > envelope.voltage_V[1]
+            or weakest < envelope.current_A[0]
+            or strongest > envelope.current_A[1]
+        ):
+            self._judge_range(samples.voltage_V, samples.current_A, self._ones[:n], quality)
         return new, Gated(
-            np.full(n, self._period_ns * 1e-9), voltage, current, ambient, quality, np.ones(n, dtype=bool)
+            np.full(n, period_ns * 1e-9), samples.voltage_V, samples.current_A, None, quality, self._ones[:n]
         )
 
     def _steps(

@@ -35,7 +35,8 @@ def run_live(arguments: argparse.Namespace) -> int:
         and not arguments.source.startswith("file:")
     ):
         print(
-            "motorlens run: the sensor needs the ambient temperature from the drive; --ambient DEGREES_C sets it",
+            f"motorlens {arguments.command}: the sensor needs the ambient temperature from the drive; "
+            "--ambient DEGREES_C sets it",
             file=sys.stderr,
         )
     watch = Watch([parse_alarm(text, sensor.specification) for text in arguments.alarm])
@@ -75,7 +76,7 @@ def run_live(arguments: argparse.Namespace) -> int:
         gc.freeze()
         cpu_s, started_ns = time.process_time(), clock()
         try:
-            with _stopping() as stop:
+            with stopping() as stop:
                 service.run(Notifier().while_running(stop, clock))
         finally:
             seconds = (clock() - started_ns) * 1e-9
@@ -87,13 +88,13 @@ def run_live(arguments: argparse.Namespace) -> int:
             report = {**service.report(), "seconds": seconds, "cpu_share": cpu_s / max(seconds, 1e-9)}
             if recorder is not None:
                 report["record"] = {"lost": recorder.lost, "error": recorder.error}
-            _say(report)
+            _say(report, arguments.command)
             write_json(report, arguments.json)
     return 0
 
 
 @contextmanager
-def _stopping() -> Iterator[Any]:
+def stopping() -> Iterator[Any]:
     """A function that tells whether SIGINT or SIGTERM has come; a second one ends at once."""
     caught: list[int] = []
 
@@ -116,7 +117,7 @@ def _event_line(event: dict[str, Any]) -> str:
     return f"alarm {'on' if event['active'] else 'off'}: {event['alarm']}: {event['message']}"
 
 
-def _say(report: dict[str, Any]) -> None:
+def _say(report: dict[str, Any], command: str) -> None:
     """The summary on standard error: a few lines for a person."""
     feed = report["feed"]
     from_whom = f" from {report['device']}" if report["device"] else ""
@@ -149,4 +150,4 @@ def _say(report: dict[str, Any]) -> None:
         lines.append(memory["message"])
     lines += [_event_line(event) for event in report["events"][-5:]]
     for line in lines:
-        print(f"motorlens run: {line}", file=sys.stderr)
+        print(f"motorlens {command}: {line}", file=sys.stderr)

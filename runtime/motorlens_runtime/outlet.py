@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
@@ -80,6 +81,8 @@ class Outlet:
         self._publisher = open_publisher(url, header)
         self._queue: deque[Estimates | Event] = deque()
         self._tell: Callable[[Event], None] | None = getattr(self._publisher, "event", None)
+        self._tell_counts: Callable[[Event], None] | None = getattr(self._publisher, "counts", None)
+        self._counts: Event | None = None
         self._rows_waiting = 0
         self._wake = threading.Condition()
         self._closing = False
@@ -100,6 +103,13 @@ class Outlet:
         """Hand over an event, to a publisher that has a word for it; returns at once."""
         if self._tell is not None and not self.dead:
             self._put(event)
+
+    def put_counts(self, counts: Event) -> None:
+        """Hand over what the service counts, see `Service.counts`, to a publisher that shows it; only the newest waits."""
+        if self._tell_counts is not None and not self.dead:
+            with self._wake:
+                self._counts = counts
+                self._wake.notify()
 
     def close(self, patience_s: float = 2.0) -> None:
         """Publish what waits, for `patience_s` at most, and finish."""
@@ -131,17 +141,20 @@ class Outlet:
     def _work(self) -> None:
         while True:
             with self._wake:
-                while not self._queue and not self._closing:
+                while not self._queue and not self._closing and self._counts is None:
                     if not self._wake.wait(_FLUSH_S):
                         break
                 batch, self._queue = list(self._queue), deque()
                 self._rows_waiting = 0
+                counts, self._counts = self._counts, None
                 finish = self._closing
             for item in batch:
                 if isinstance(item, Estimates):
                     self._attempt(self._publisher.publish, item)
                 elif self._tell is not None:
                     self._attempt(self._tell, item)
+            if counts is not None and self._tell_counts is not None:
+                self._attempt(partial(self._tell_counts, counts))
             self._attempt(self._publisher.flush)
             if finish and not self._queue:
                 self._finish()

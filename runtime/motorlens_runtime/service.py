@@ -31,6 +31,7 @@ _DRIFT = 5e-4
 _LATENCIES = 1 << 16
 # How much longer than its duration a live stream may take, from opening the port to its first sample.
 _GRACE_NS = 1_000_000_000
+_COUNT_EVERY_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ class Service:
         self._stale_tick = 0
         self._best_lag_ns: float | None = None
         self._lag_at_ns = 0
+        self._counted_ns = 0
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Until `stop()`, the end of the feed or the duration. Raises what the feed raises."""
@@ -91,6 +93,7 @@ class Service:
                 self.take(samples)
             else:
                 self._stale()
+            self._count()
             if self._outlets and all(outlet.dead for outlet in self._outlets):
                 return
 
@@ -119,6 +122,22 @@ class Service:
             self._memory.keep(estimator.state, self._feed.device, arrival_ns)
         self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
         self._blocks += 1
+
+    def counts(self) -> dict[str, Any]:
+        """What publishers are told once a second: samples and estimates so far, what was lost, time to each limit."""
+        feed = self._feed.report()
+        left_s = {} if self._watch is None else self._watch.time_to_limit_s()
+        return {
+            "device": self._feed.device,
+            "samples": self._samples,
+            "published": self._published,
+            "lost": feed.get("lost_samples", 0),
+            "bad_frames": feed.get("bad_frames", 0),
+            "reconnects": feed.get("reconnects", 0),
+            "time_to_limit_s": {
+                name: seconds if seconds < np.inf else None for name, seconds in left_s.items()
+            },
+        }
 
     def report(self) -> dict[str, Any]:
         """Counters and latencies; `latency_us` is from the arrival of a block to its estimates being handed out."""
@@ -203,6 +222,14 @@ class Service:
             if self._memory is not None:
                 self._memory.follow(following.sensor)
         return following, estimates
+
+    def _count(self) -> None:
+        now_ns = self._clock()
+        if now_ns - self._counted_ns >= _COUNT_EVERY_NS:
+            self._counted_ns = now_ns
+            counts = self.counts()
+            for outlet in self._outlets:
+                outlet.put_counts(counts)
 
     def _stale(self) -> None:
         """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale."""

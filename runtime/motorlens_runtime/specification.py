@@ -94,6 +94,12 @@ class Specification:
         return round(1e9 / self.rate_Hz)
 
 
+def signals_of(specification: Specification) -> tuple[str, ...]:
+    """The signals that its filters and features use, each once: the rows in which the runtime keeps them."""
+    filters, features = specification.filters, specification.features
+    return tuple(dict.fromkeys([*(f.signal for f in filters), *(f.signal for f in features if f.signal)]))
+
+
 def parse_specification(text: str, where: str) -> Specification:
     """Read `motorlens.spec`.
 

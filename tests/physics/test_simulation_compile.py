@@ -1,6 +1,7 @@
 """The generated code: its cache, its independence of what does not matter, its Jacobian."""
 
-import importlib
+import ctypes
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy as sp
+from numba import float64, njit
 
 from motorlens_physics import compile as compiling
+from motorlens_physics.compile_native import native
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.effects.inductance_saturation import InductanceSaturation
@@ -17,7 +20,8 @@ from motorlens_physics.effects.quadratic_drag import QuadraticDrag
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Rated, param
 from motorlens_physics.simulation import Inputs, simulate, structure
-from motorlens_physics.symbols import SIDE, named, trace
+from motorlens_physics.symbols import SIDE, named, parameter_values, trace
+from motorlens_runtime.errors import ModelError
 
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 
@@ -51,11 +55,75 @@ def test_a_cache_that_cannot_be_written_is_done_without(
     assert compiling._load("answer = 44\n").answer == 44
 
 
-def test_machine_code_is_kept_beside_the_source() -> None:
-    _, code = structure(Motor())
-    module = importlib.import_module(code.functions[0].py_func.__module__)
-    kept = Path(module.__file__ or "").parent / "__pycache__"
-    assert list(kept.glob(f"{module.__name__}.step-*.nbi"))
+def test_machine_code_of_a_structure_is_kept(fresh: Path) -> None:
+    source = compiling.source(trace(Motor(), forced=True))
+    fresh.mkdir()
+    native(source, compiling._SIGNATURES, fresh)
+    (path,) = fresh.glob("*.o")
+    stamp = path.stat().st_mtime_ns
+    native(source, compiling._SIGNATURES, fresh)
+    assert path.stat().st_mtime_ns == stamp
+    assert not list(fresh.glob("*.tmp"))
+
+
+@pytest.mark.parametrize("effects", [(), tuple(catalogue().values())])
+def test_machine_code_does_what_its_source_says_in_python(
+    effects: tuple[type[Effect], ...], tmp_path: Path
+) -> None:
+    motor = Motor(effects=tuple(effect.typical(PLATE) for effect in effects))
+    system = trace(motor, forced=True)
+    source = compiling.source(system)
+    python: dict[str, Any] = {"math": math, "np": np}
+    exec(source, python)
+    machine = native(source, compiling._SIGNATURES, tmp_path)
+    call = njit(_call)
+    n, rng = len(system.states), np.random.default_rng(0)
+    p = np.array(parameter_values(motor))
+    columns = len(system.forcings)
+    for _ in range(20):
+        x = np.array([5.0, 100.0, 30.0, *np.ones(n - 3)]) * rng.normal(size=n)
+        found = []
+        for functions in (python, machine):
+            out, a, g = np.zeros(3 * n + 4), np.zeros((n, n)), np.zeros((n, columns))
+            four = [functions[name] for name in ("step", "rest", "torque", "linear")]
+            (_call if functions is python else call)(*four, x, p, out, a, g, np.arange(columns))
+            found.append(np.concatenate([out, a.ravel(), g.ravel()]))
+        np.testing.assert_allclose(found[1], found[0], rtol=1e-10, atol=1e-10 * np.max(np.abs(found[0])))
+
+
+def _call(step, rest, torque, linear, x, p, out, a, g, slots):  # type: ignore[no-untyped-def]
+    n, u = x.size, np.array([200.0, 3.0, 20.0, 50.0, -1.0, 0.1])
+    step(x, p, 0.5, u, 1e-3, 1.0, 1.0, out[:n], out[n : 2 * n], out[2 * n : 3 * n])
+    out[3 * n], out[3 * n + 1], out[3 * n + 2] = rest(x, p, 0.5, u, 0.1)
+    out[3 * n + 3] = torque(x, p, 0.5, u, 0.1, 0.0)
+    linear(x, p, 0.5, u, 0.1, -1.0, slots, a, g)
+
+
+def test_what_is_understood_of_python_means_the_same_in_machine_code(tmp_path: Path) -> None:
+    source = """
+def both(a, b):
+    return a - b, a ** 3 + b ** -2
+
+def strange(a, b):
+    c, d = both(a, b)
+    c *= 2
+    e = (c if a > b and a > 0 else -c) + min(a, b, 0.5) - max(a, b) + abs(a) * np.sign(b)
+    return e / d + math.atan2(a, b) + a ** 0 + abs(b) ** 0.5 + (1 if a >= 0 or b < 0 else 2)
+"""
+    python: dict[str, Any] = {"math": math, "np": np}
+    exec(source, python)
+    strange = native(source, {"strange": float64(float64, float64)}, tmp_path)["strange"]
+    call = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double, ctypes.c_double)(strange.__wrapper_address__())
+    for a, b in np.random.default_rng(1).normal(size=(50, 2)):
+        assert call(a, b) == pytest.approx(python["strange"](a, b), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "line", ["for k in x: pass", "y = [1.0]", "y = x @ x", "y = math.nosuch(a)", "y = print(a)"]
+)
+def test_what_is_not_understood_is_refused_by_name(line: str, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"nosuch|print|for k|\[1\.0\]|x @ x"):
+        native(f"def f(a, x):\n    {line}\n    return a\n", {"f": float64(float64, float64[::1])}, tmp_path)
 
 
 def test_neither_values_nor_the_order_of_effects_make_another_structure() -> None:
@@ -90,8 +158,6 @@ def test_what_holds_at_rest_is_the_friction_of_a_rotor_that_just_turns(name: str
 
 
 def _values(effect: Effect) -> list[float]:
-    from motorlens_physics.symbols import parameter_values
-
     return parameter_values(Motor(effects=(effect,)))
 
 

@@ -1,6 +1,6 @@
 """The ladder of held-out error as JSON (schema motorlens.add/1), text and page."""
 
-import shlex
+import math
 from typing import Any
 
 from motorlens_workbench.ladder import Ladder
@@ -45,7 +45,7 @@ def sentence(document: dict[str, Any]) -> str:
         )
         return f"The data do not support {name}: {document['why_not']}{end}."
     before, after = rungs[-2]["held_out"], rungs[-1]["held_out"]
-    channel = min(after, key=lambda c: after[c] / max(before[c], 1e-300))
+    channel = max(after, key=lambda c: abs(math.log(max(after[c], 1e-300) / max(before[c], 1e-300))))
     change = 100 * (1 - after[channel] / max(before[channel], 1e-300))
     verb = "lower" if change >= 0 else "higher"
     return f"The error of {channel} on data held out is {abs(change):.1f} % {verb}; written to {document['written']}."
@@ -83,7 +83,7 @@ def to_text(document: dict[str, Any]) -> str:
     return "\n".join(rows)
 
 
-def to_html(document: dict[str, Any]) -> str:
+def to_html(document: dict[str, Any], command: str) -> str:
     """The page of `--html`."""
     channels = list(document["noise_floor"])
     names = [rung["added"] or "textbook" for rung in document["ladder"]] + ["noise floor"]
@@ -108,8 +108,5 @@ def to_html(document: dict[str, Any]) -> str:
         sections.append(Section("On recordings that were not fitted", [Table(["model", *channels], judged)]))
     sections.append(
         Section("Parameters", [Table(["parameter", "value", "standard deviation", "unit"], rows)])
-    )
-    command = shlex.join(
-        ["motorlens", "add", document["effect"], "--motor", document["motor"], "--fit", "..."]
     )
     return page(f"motorlens add {document['effect']}", sentence(document), [], sections, [command])

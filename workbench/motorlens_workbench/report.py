@@ -15,23 +15,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.web import style
+
 Array = NDArray[np.float64]
 
 # Points a series may have in a picture: twice what a wide screen has pixels.
 SHOWN = 4000
 MEASURED, PREDICTED, LACKING, NOISE = "#555b66", "#1f5fa8", "#c2410c", "#9aa3af"
+AXIS, ZERO, CLEAR = "#eaeef2", "#d8dee4", "rgba(0,0,0,0)"
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1c2128; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.3rem; margin: 0; color: #57606a; font-weight: 500; }
-.verdict { font-size: 1.6rem; line-height: 1.3; margin: .4rem 0 .6rem; font-weight: 600; }
-h2 { font-size: 1.15rem; margin: 2.2rem 0 .3rem; border-bottom: 1px solid #d8dee4; padding-bottom: .2rem; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .9rem; margin: .5rem 0; }
-th, td { text-align: right; padding: .2rem .7rem; border-bottom: 1px solid #eaeef2; }
-th:first-child, td:first-child { text-align: left; }
-th { font-weight: 600; color: #57606a; }
-pre { background: #f6f8fa; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; }
-.note { color: #57606a; font-size: .92rem; }
+# What these colours, and those of the axes, become on a dark screen; the same as in the style sheet.
+_DARK = {
+    MEASURED: "#b4bcc6", PREDICTED: "#6cabf0", LACKING: "#f08a4b", NOISE: "#6b7480", AXIS: "#262c33", ZERO: "#3a424c",
+}  # fmt: skip
+# Pictures are drawn for the screen as it is, and again when the reader turns it light or dark.
+_DRAW = """
+const dark = matchMedia("(prefers-color-scheme: dark)"), pictures = [];
+function draw(name, figure) {
+  const colours = %s;
+  const shown = dark.matches
+    ? JSON.parse(JSON.stringify(figure).replace(/#[0-9a-f]{6}/g, c => colours[c] || c))
+    : structuredClone(figure);
+  shown.layout.font = {color: getComputedStyle(document.body).color};
+  for (const trace of shown.data)
+    if (dark.matches && typeof trace.colorscale === "string") trace.colorscale = [[0, "#1d2228"], [1, "#6cabf0"]];
+  Plotly.react(name, shown.data, shown.layout, {responsive: true, displaylogo: false});
+}
+function picture(name, figure) { pictures.push([name, figure]); draw(name, figure); }
+dark.addEventListener("change", () => pictures.forEach(p => draw(...p)));
 """
 
 
@@ -92,7 +103,8 @@ def page(
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{_text(title)}</title><style>{_STYLE}</style><script>{get_plotlyjs()}</script></head>\n"
+        f"<title>{_text(title)}</title><style>{style()}</style><script>{get_plotlyjs()}</script>"
+        f"<script>{_DRAW % json.dumps(_DARK)}</script></head>\n"
         f"<body>{chr(10).join(body)}</body></html>\n"
     )
 
@@ -143,9 +155,10 @@ def figure(
     traces: Sequence[Mapping[str, Any]], x: str, y: str, height: int = 320, **layout: Any
 ) -> dict[str, Any]:
     """A plotly figure with titled axes; further layout keys as plotly has them."""
-    axes = {"gridcolor": "#eaeef2", "zerolinecolor": "#d8dee4"}
+    axes = {"gridcolor": AXIS, "zerolinecolor": ZERO}
     standard = {
-        "height": height, "margin": {"l": 70, "r": 20, "t": 20, "b": 50}, "plot_bgcolor": "white", "paper_bgcolor": "white",
+        "height": height, "margin": {"l": 70, "r": 20, "t": 20, "b": 50}, "plot_bgcolor": CLEAR, "paper_bgcolor": CLEAR,
+        "modebar": {"bgcolor": CLEAR},
         "xaxis": {**axes, "title": {"text": x}}, "yaxis": {**axes, "title": {"text": y}},
         "legend": {"orientation": "h", "y": 1.12}, "hovermode": "closest",
     }  # fmt: skip
@@ -163,10 +176,7 @@ def _picture(item: Picture, name: str) -> str:
     # "</" inside a script would end it.
     data = json.dumps(item.figure, allow_nan=False).replace("</", "<\\/")
     caption = f'<p class="note">{_text(item.caption)}</p>' if item.caption else ""
-    return (
-        f'<div id="{name}"></div><script>{{const f = {data}; '
-        f"Plotly.newPlot('{name}', f.data, f.layout, {{responsive: true, displaylogo: false}});}}</script>{caption}"
-    )
+    return f'<div id="{name}"></div><script>picture("{name}", {data});</script>{caption}'
 
 
 def _table(item: Table) -> str:

@@ -15,6 +15,11 @@ from motorlens_runtime.cli import add_json_argument
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--source", required=True, metavar="URL", help="where the samples come from")
     parser.add_argument("--sensor", required=True, metavar="S.onnx", help="the virtual sensor")
+    add_options(parser)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What can be said besides source and sensor; `motorlens monitor` has the same."""
     parser.add_argument(
         "--publish", action="append", default=[], metavar="URL", help="where estimates go; may be repeated"
     )

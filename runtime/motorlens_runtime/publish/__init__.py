@@ -29,8 +29,8 @@ class Header:
 class Publisher(Protocol):
     """One destination. It may raise OSError; the caller counts that and goes on.
 
-    One that has a word for them also has `event(event)`, for alarms as `alarms.Event.document` has them, and `dropped`, the
-    number of rows that it was given and could not send.
+    One that has a word for them also has `event(event)`, for alarms as `alarms.Event.document` has them, `counts(counts)`,
+    for what `Service.counts` says once a second, and `dropped`, the number of rows that it was given and could not send.
     """
 
     def publish(self, estimates: Estimates) -> None:

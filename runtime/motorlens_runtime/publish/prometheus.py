@@ -5,6 +5,7 @@ Names follow prometheus.io/docs/practices/naming: base units, spelled out.
 """
 
 import json
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -16,9 +17,16 @@ from motorlens_runtime.errors import DeviceError
 from motorlens_runtime.estimator import Estimates
 from motorlens_runtime.publish import Header, address_of, options_of
 from motorlens_runtime.quality import OpcUa, Quality, names, opc_ua
+from motorlens_runtime.specification import Output
 
 DEFAULT_PORT = 9464
 _UNITS = {"rad/s": "radians_per_second", "K": "kelvin", "degC": "celsius", "ohm": "ohms"}
+_COUNTERS = {
+    "samples": "Samples that came.",
+    "lost": "Samples that were sent and did not come.",
+    "bad_frames": "Damaged frames.",
+    "reconnects": "Times the line was opened again.",
+}
 _TEXT = "text/plain; version=0.0.4; charset=utf-8"
 
 
@@ -26,6 +34,12 @@ def open_url(url: SplitResult, header: Header) -> "PrometheusPublisher":
     """See `publish`. Option `stale` is after how many seconds without a row `/health` says so, default 5."""
     options = options_of(url, stale=5.0)
     return PrometheusPublisher(address_of(url, DEFAULT_PORT), header, options["stale"])
+
+
+def metric_names(output: Output) -> tuple[str, str]:
+    """What an output and its standard deviation are called."""
+    name, unit = output.heading.removesuffix(_suffix(output.heading)), _UNITS[output.unit]
+    return f"motorlens_{name}_{unit}", f"motorlens_{name}_standard_deviation_{unit}"
 
 
 class PrometheusPublisher:
@@ -44,6 +58,7 @@ class PrometheusPublisher:
         self._latest: tuple[float, float, list[float], list[float], int] | None = None
         self._rows = 0
         self._events: dict[str, bool] = {}
+        self._counts: dict[str, Any] = {}
         try:
             self._server = _Server(address, _handler(self))
         except OSError as error:
@@ -73,6 +88,10 @@ class PrometheusPublisher:
         """Remember which alarms are on."""
         self._events = {**self._events, str(event.get("alarm", "")): bool(event.get("active"))}
 
+    def counts(self, counts: dict[str, Any]) -> None:
+        """Keep what the service counts."""
+        self._counts = counts
+
     def flush(self) -> None:
         """Nothing is held back."""
 
@@ -95,16 +114,10 @@ class PrometheusPublisher:
         if latest is not None:
             arrived, time_s, values, sigma, word = latest
             for column, output in enumerate(header.outputs):
-                unit = _UNITS[output.unit]
-                name = f"motorlens_{output.heading.removesuffix(_suffix(output.heading))}"
-                lines.append(_gauge(f"{name}_{unit}", f"Estimated {output.name}.", [({}, values[column])]))
-                lines.append(
-                    _gauge(
-                        f"{name}_standard_deviation_{unit}",
-                        f"Standard deviation of the estimated {output.name}.",
-                        [({}, sigma[column])],
-                    )
-                )
+                name, sd_name = metric_names(output)
+                lines.append(_gauge(name, f"Estimated {output.name}.", [({}, values[column])]))
+                about_sd = f"Standard deviation of the estimated {output.name}."
+                lines.append(_gauge(sd_name, about_sd, [({}, sigma[column])]))
             reasons = [({"reason": names(bit)[0]}, float(bool(word & bit))) for bit in Quality]
             lines.append(_gauge("motorlens_quality", "Quality word; 0 is good.", [({}, float(word))]))
             lines.append(_gauge("motorlens_quality_reason", "Which reasons to doubt apply.", reasons))
@@ -112,6 +125,14 @@ class PrometheusPublisher:
             lines.append(
                 _gauge("motorlens_age_seconds", "Time since the row came.", [({}, self._clock() - arrived)])
             )
+        for key, meaning in _COUNTERS.items():
+            if key in self._counts:
+                name = f"motorlens_{key}_total" if key != "lost" else "motorlens_lost_samples_total"
+                lines.append(_family(name, "counter", meaning, [({}, float(self._counts[key]))]))
+        left = self._counts.get("time_to_limit_s", {})
+        if left:
+            seconds = [({"alarm": name}, math.inf if s is None else s) for name, s in sorted(left.items())]
+            lines.append(_gauge("motorlens_time_to_limit_seconds", "Until the limit, as things go.", seconds))
         if self._events:
             alarms = [({"alarm": name}, float(active)) for name, active in sorted(self._events.items())]
             lines.append(_gauge("motorlens_alarm_active", "Alarms that are on.", alarms))

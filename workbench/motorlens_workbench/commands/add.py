@@ -9,6 +9,7 @@ and for each effect so far. An effect that the data do not support is not writte
 """
 
 import argparse
+import shlex
 from pathlib import Path
 
 from motorlens_runtime.cli import add_json_argument, write_json
@@ -64,5 +65,11 @@ def run(arguments: argparse.Namespace) -> int:
         print(to_text(document))
     write_json(document, arguments.json)
     if arguments.html:
-        Path(arguments.html).write_text(to_html(document), encoding="utf-8")
+        words = ["motorlens", "add", arguments.effect, "--motor", arguments.motor, "--fit", *arguments.fit]
+        words += ["--judge", *arguments.judge] if arguments.judge else []
+        words += ["--remove"] if arguments.remove else []
+        words += ["--force"] if arguments.force else []
+        words += ["-o", arguments.output]
+        words += [word for column in arguments.column for word in ("--column", column)]
+        Path(arguments.html).write_text(to_html(document, shlex.join(words)), encoding="utf-8")
     return 0 if written else 1

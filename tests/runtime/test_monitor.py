@@ -1,0 +1,389 @@
+"""The live page: what a browser receives is what the publishers write, from a run of its own or one it attaches to."""
+
+import json
+import math
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+from helpers.sensor_files import write_sensor
+from helpers.wire_device import WireDevice
+
+from motorlens_runtime.cli import main
+from motorlens_runtime.errors import DataError, DeviceError
+from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.monitor.attach import attach
+from motorlens_runtime.monitor.history import History
+from motorlens_runtime.monitor.page import WORDS, MonitorPage
+from motorlens_runtime.publish import Header, open_publisher
+from motorlens_runtime.quality import Quality
+from motorlens_runtime.specification import Output
+
+HEADER = Header(
+    "bench",
+    "1.2",
+    "ab" * 32,
+    (Output("speed", "rad/s", 100.0), Output("temperature", "K", 40.0), Output("resistance", "ohm", 0.5)),
+)
+HEADINGS = [(output.heading, output.sd_heading) for output in HEADER.outputs]
+RUBBISH = (
+    b"", b"\xff", b"[" * 5000, b"[]", b'{"timestamp": "x"}', b'{"timestamp": 1e300}', b'{"event": 3}',
+    b'{"event": "alarm", "message": "m"}', b'{"timestamp": 4.0, "speed_rad_s": [1], "quality": -1}',
+)  # fmt: skip
+ALARM = {"event": "alarm", "alarm": "hot", "active": True, "timestamp": 2.0, "message": "91, above 90"}
+
+
+def rows(time_s, quality=0, seed=0):
+    rng = np.random.default_rng(seed)
+    n = len(time_s)
+    words = np.broadcast_to(np.asarray(quality, dtype=np.uint32), n).copy()
+    return Estimates(
+        np.round(np.asarray(time_s) * 1e9).astype(np.int64),
+        rng.normal(size=(n, 3)),
+        rng.random((n, 3)),
+        words,
+    )
+
+
+def ask(page, path, **headers):
+    request = urllib.request.Request(page.url.partition("?")[0].rstrip("/") + path, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read()
+
+
+def key(url):
+    return {"Authorization": f"Bearer {url.partition('token=')[2]}"}
+
+
+def live(page, query="window=60"):
+    status, body = ask(page, f"/live?{query}", **key(page.url))
+    assert status == 200, body
+    return json.loads(body)
+
+
+def eventually(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, "did not come about"
+        time.sleep(0.02)
+    return found
+
+
+@pytest.fixture
+def page():
+    page = MonitorPage(HEADER)
+    yield page
+    page.close()
+
+
+# What is kept
+
+
+@pytest.mark.parametrize("block", [1, 7, 500])
+def test_means_over_bins_are_those_of_a_slow_reading_however_rows_arrive(block):
+    rng = np.random.default_rng(3)
+    time_s = np.cumsum(rng.uniform(0.01, 0.7, 2000))
+    reasons = rng.choice([0, int(Quality.BRIDGED), int(Quality.JUMP)], 2000)
+    given = rows(time_s, reasons)
+    history = History(3, rows=300, bins_s=(1.0, 20.0))
+    for start in range(0, 2000, block):
+        part = slice(start, start + block)
+        history.append(
+            Estimates(given.time_ns[part], given.values[part], given.sigma[part], given.quality[part])
+        )
+    assert history.view(10.0).level == 0 and history.view(200.0).level == 1
+    coarse = history.view(1e4)
+    assert coarse.level == 2
+    bins = (given.time_ns // 20_000_000_000).tolist()
+    for k, number in enumerate(sorted(set(bins))[:-1]):  # the last bin is not complete
+        inside = [j for j, b in enumerate(bins) if b == number]
+        assert coarse.rows.time_ns[k] == number * 20_000_000_000 + 10_000_000_000
+        for column in range(3):
+            mean = sum(float(given.values[j, column]) for j in inside) / len(inside)
+            assert coarse.rows.values[k, column] == pytest.approx(mean, rel=1e-12, abs=1e-12)
+            mean = sum(float(given.sigma[j, column]) for j in inside) / len(inside)
+            assert coarse.rows.sigma[k, column] == pytest.approx(mean, rel=1e-12)
+        word = 0
+        for j in inside:
+            word |= int(reasons[j])
+        assert coarse.rows.quality[k] == word
+    assert len(coarse.rows) == len(set(bins)) - 1
+
+
+def test_new_rows_only_are_given_to_a_reader_that_has_the_others():
+    history = History(3, rows=100)
+    given = rows(np.arange(250) / 10)
+    seen, level, after = [], -1, 0
+    for start in range(0, 250, 10):
+        history.append(rows_between(given, start, start + 10))
+        view = history.view(5.0, level, after)
+        seen += view.rows.time_ns.tolist()
+        level, after = view.level, view.after
+    assert seen == given.time_ns.tolist()
+    assert len(history.view(5.0, level, after).rows) == 0
+    assert history.view(5.0).rows.time_ns.tolist() == given.time_ns[-51:].tolist()
+
+
+def rows_between(given, start, stop):
+    part = slice(start, stop)
+    return Estimates(given.time_ns[part], given.values[part], given.sigma[part], given.quality[part])
+
+
+def test_a_stream_that_begins_again_starts_anew_and_a_small_step_back_is_left_out():
+    history = History(3)
+    history.append(rows([10.0, 11.0, 12.0]))
+    history.append(rows([11.5, 12.5]))
+    assert history.view(60.0).rows.time_ns.tolist() == [10**10, 11 * 10**9, 12 * 10**9, 125 * 10**8]
+    history.append(rows([0.0, 0.5]))
+    assert history.view(60.0).rows.time_ns.tolist() == [0, 5 * 10**8]
+
+
+# The page
+
+
+def test_the_page_is_given_rows_events_and_counts(page):
+    given = rows([1.0, 1.5, 2.0], [0, int(Quality.STALE), int(Quality.SIMULATED | Quality.WARM_UP)])
+    given.values[1, 0] = math.nan
+    given.sigma[2, 1] = math.inf
+    assert "latest" not in live(page)
+    page.publish(given)
+    page.event(ALARM)
+    page.counts({"samples": 30, "lost": 2, "time_to_limit_s": {"hot": None}})
+    found = live(page)
+    assert found["time_s"] == [1.0, 1.5, 2.0]
+    assert found["values"][1] == given.values[:, 1].tolist() and found["values"][0][1] is None
+    assert found["sigma"][0] == given.sigma[:, 0].tolist() and found["sigma"][1][2] is None
+    assert found["doubt"] == [0, 1, 1]
+    assert found["latest"]["reasons"] == ["warm_up", "simulated"] and found["latest"]["status"] == "uncertain"
+    assert found["counts"] == {"samples": 30, "lost": 2, "time_to_limit_s": {"hot": None}}
+    assert found["alarms"] == [ALARM] and found["events"] == [ALARM] and found["rows"] == 3
+    page.event({**ALARM, "active": False})
+    assert live(page)["alarms"] == [] and len(live(page)["events"]) == 2
+    assert live(page, f"window=60&level={found['level']}&after={found['after']}")["time_s"] == []
+
+
+def test_every_reason_has_words():
+    assert set(WORDS) == set(Quality) and len(set(WORDS.values())) == len(Quality)
+
+
+def test_only_its_own_files_and_only_with_the_key(page):
+    assert ask(page, "/live")[0] == 403 and ask(page, "/")[0] == 403
+    for path in ("/", "/page.js", "/page.css", "/style.css", "/about"):
+        assert ask(page, path, **key(page.url))[0] == 200
+    for path in ("/../page.py", "/page.py", "/%2e%2e/page.py", "//etc/passwd", "/history.py"):
+        assert ask(page, path, **key(page.url))[0] == 404
+    assert ask(page, "/live?window=much", **key(page.url))[0] == 400
+    # Nothing is fetched from elsewhere: the page works on a PC without a network.
+    for path in ("/", "/page.js", "/page.css", "/style.css"):
+        assert b"http" not in ask(page, path, **key(page.url))[1]
+
+
+def test_the_publisher_serves_this_machine_only(capsys):
+    with pytest.raises(DataError, match="this machine only"):
+        open_publisher("web://0.0.0.0:9465", HEADER)
+    with pytest.raises(DataError, match="no option 'tokenn'"):
+        open_publisher("web://127.0.0.1?tokenn=x", HEADER)
+    served = open_publisher("web://127.0.0.1?token=&rate=5", HEADER)
+    assert capsys.readouterr().err == f"motorlens monitor: {served.url}\n"
+    assert ask(served, "/about")[0] == 200
+    served.close()
+
+
+# A run of its own
+
+
+def test_a_run_shows_what_its_other_publishers_write(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_sensor("s.onnx")
+    with WireDevice(1000, 10, count=300) as device:
+        command = [
+            sys.executable, "-m", "motorlens_runtime", "monitor", "--source", f"pty://{device.path}", "--sensor", "s.onnx",
+            "--no-browser", "--publish", "jsonl:rows.jsonl?rate=20", "--alarm", "speed>-1e9",
+            "--json", "report.json",
+        ]  # fmt: skip
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+            url = re.search(r"http://\S+", process.stderr.readline())[0]
+            device.start_when_open()
+            opened = type("Page", (), {"url": url})
+            eventually(lambda: device.sent == device.count)
+            found = eventually(lambda: (f := live(opened))["counts"].get("samples") == 3000 and f)
+            status, _ = ask(opened, "/live")
+            assert status == 403
+        finally:
+            process.send_signal(signal.SIGINT)
+            said = process.communicate(timeout=30)[1]
+    assert process.returncode == 0, said
+    with open("rows.jsonl") as file:
+        written = [row for row in map(json.loads, file) if "event" not in row and row["timestamp"] < 3.0]
+    assert len(written) == 60
+    for row in written:
+        k = found["time_s"].index(row["timestamp"])
+        for column, (heading, sd_heading) in enumerate(HEADINGS):
+            assert found["values"][column][k] == row[heading] and found["sigma"][column][k] == row[sd_heading]
+    assert found["counts"]["lost"] == 0 and found["counts"]["device"] == "bench"
+    assert [event["alarm"] for event in found["events"]] == ["speed > -1e+09"]
+    with open("report.json") as file:
+        assert json.load(file)["samples"] == 3000
+
+
+# Attached to one
+
+
+def publish_until(publisher, stop, given):
+    while not stop.is_set():
+        publisher.publish(given())
+        publisher.flush()
+        time.sleep(0.02)
+
+
+def test_attached_to_shared_memory_every_row_comes(tmp_path):
+    path = tmp_path / "ring"
+    writer = open_publisher(f"shm:{path}", HEADER)
+    given = rows(np.arange(500) / 100, int(Quality.WARM_UP))
+    writer.publish(rows_between(given, 0, 100))
+    there = attach(f"shm:{path}")
+    assert [output.heading for output in there.header.outputs] == [
+        output.heading for output in HEADER.outputs
+    ]
+    assert there.header.sensor == "bench"
+    first = there.read(0.1)
+    writer.publish(rows_between(given, 100, 500))
+    second = there.read(0.1)
+    joined = np.vstack((first.rows.values, second.rows.values))
+    assert np.array_equal(joined, given.values) and second.counts == {"published": 500, "missed": 0}
+    assert np.array_equal(np.r_[first.rows.time_ns, second.rows.time_ns], given.time_ns)
+    assert (second.rows.quality == int(Quality.WARM_UP)).all()
+    # The runtime is started again: a new ring in the same place.
+    writer.close()
+    assert there.read(0.0).rows is None
+    again = open_publisher(f"shm:{path}", HEADER)
+    again.publish(rows([0.0]))
+    found = eventually(lambda: there.read(0.0).rows)
+    assert found.time_ns.tolist() == [0]
+    there.close()
+    again.close()
+
+
+def test_attached_to_prometheus_it_has_the_newest_row_alarms_and_counts():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    publisher = open_publisher(f"prometheus://127.0.0.1:{port}", HEADER)
+    given = rows([1.0, 2.0], int(Quality.BRIDGED))
+    given.values[1, 0] = math.nan
+    publisher.publish(given)
+    publisher.event({**ALARM, "alarm": 'too "hot"'})
+    publisher.counts(
+        {
+            "samples": 20,
+            "lost": 3,
+            "bad_frames": 1,
+            "reconnects": 0,
+            "time_to_limit_s": {"a": 12.5, "b": None},
+        }
+    )
+    there = attach(f"http://127.0.0.1:{port}")
+    assert there.header.sensor == "bench" and len(there.header.outputs) == 3
+    news = there.read(0.0)
+    assert news.rows.time_ns.tolist() == [2 * 10**9] and news.rows.quality.tolist() == [int(Quality.BRIDGED)]
+    assert math.isnan(news.rows.values[0, 0]) and news.rows.values[0, 1] == given.values[1, 1]
+    assert np.array_equal(news.rows.sigma[0], given.sigma[1])
+    assert [(e["alarm"], e["active"]) for e in news.events] == [('too "hot"', True)]
+    assert news.counts == {
+        "samples": 20, "lost": 3, "bad_frames": 1, "reconnects": 0, "published": 2,
+        "time_to_limit_s": {"a": 12.5, "b": None},
+    }  # fmt: skip
+    again = there.read(0.0)
+    assert again.rows is None and again.events == []
+    publisher.close()
+    assert there.read(0.0).rows is None
+
+
+def test_attached_to_datagrams_rows_and_events_come_and_rubbish_does_not():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    given, stop = rows([1.0, 2.0, 3.0], int(Quality.STUCK)), threading.Event()
+    publisher = open_publisher(f"udp://127.0.0.1:{port}", HEADER)
+    thread = threading.Thread(target=publish_until, args=(publisher, stop, lambda: given))
+    thread.start()
+    there = attach(f"udp://127.0.0.1:{port}")
+    stop.set()
+    thread.join()
+    eventually(lambda: there.read(0.01).rows is None)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        for rubbish in RUBBISH:
+            out.sendto(rubbish, ("127.0.0.1", port))
+    publisher.publish(given)
+    publisher.event(ALARM)
+    time.sleep(0.1)
+    news = there.read(1.0)
+    assert news.rows.time_ns.tolist() == [4 * 10**9, 10**9, 2 * 10**9, 3 * 10**9]
+    assert np.isnan(news.rows.values[0]).all()
+    assert np.array_equal(news.rows.values[1:], given.values) and np.array_equal(
+        news.rows.sigma[1:], given.sigma
+    )
+    assert (news.rows.quality[1:] == int(Quality.STUCK)).all() and news.events == [ALARM]
+    there.close()
+    publisher.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [("shm:/nowhere/ring", "is a runtime publishing with shm: there"), ("http://127.0.0.1:9", "no answer from /metrics"),
+     ("udp://127.0.0.1:0", "nothing comes"), ("ftp://x", "unknown scheme 'ftp'")],
+)  # fmt: skip
+def test_what_cannot_be_attached_to_is_said(url, said):
+    with pytest.raises((DeviceError, DataError), match=said):
+        attach(url, first_s=0.1)
+
+
+def test_the_command_attaches_and_watches(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_sensor("s.onnx")
+    writer = open_publisher(f"shm:{tmp_path}/ring", HEADER)
+    given = rows(np.arange(50) / 10)
+    given.values[:, 0] = np.arange(50)
+    writer.publish(given)
+    arguments = [
+        "monitor",
+        "--attach",
+        f"shm:{tmp_path}/ring",
+        "--no-browser",
+        "--duration",
+        "0.6",
+        "--json",
+        "m.json",
+    ]
+    assert main([*arguments, "--sensor", "s.onnx", "--alarm", "speed>30"]) == 0
+    writer.close()
+    with open("m.json") as file:
+        found = json.load(file)
+    assert found["counts"]["published"] == 50 and found["counts"]["missed"] == 0
+    assert [(event["timestamp"], event["active"]) for event in found["events"]] == [(3.1, True)]
+    assert os.listdir(tmp_path).count("m.json") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["--source", "sim:"], "give --sensor"), (["--attach", "shm:x", "--alarm", "speed>1"], "--alarm needs --sensor"),
+     (["--attach", "shm:x", "--publish", "csv:x.csv"], "--publish is for a sensor that runs here"),
+     (["--attach", "shm:no-such-ring"], "is a runtime publishing with shm: there")],
+)  # fmt: skip
+def test_a_mistake_gets_one_line(arguments, said, capsys):
+    assert main(["monitor", *arguments, "--no-browser"]) == 1
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1 and error.startswith("motorlens monitor: ")

@@ -1,0 +1,1 @@
+"""The workbench as a page in the browser: compare, diagnose, add, compare again."""

@@ -1,0 +1,117 @@
+"""The files that the page may use: those the user named, and the motor files and recordings of one folder. No others."""
+
+import os
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from motorlens_runtime.errors import DataError
+
+RECORDINGS = (".csv", ".parquet")
+# More files than anybody scrolls through: a folder of that many is the wrong one.
+MOST = 2000
+_OUTPUT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*\.toml")
+
+
+@dataclass(frozen=True)
+class MotorEntry:
+    """A motor file: its name, and the effects and sensor models that are in it."""
+
+    name: str
+    parts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """Names as they are typed in a command, relative to where the workbench was started.
+
+    Attributes:
+        named: files the user named.
+        folder: whose files can be chosen too; None: none.
+    """
+
+    named: tuple[str, ...]
+    folder: str | None
+
+    def motors(self) -> list[MotorEntry]:
+        """Motor files, in alphabetical order."""
+        entries = []
+        for name in self._names((".toml",)):
+            parts = _parts(Path(name))
+            if parts is not None:
+                entries.append(MotorEntry(name, parts))
+        return entries
+
+    def recordings(self) -> list[str]:
+        """Recordings, in alphabetical order."""
+        return self._names(RECORDINGS)
+
+    def motor(self, name: str) -> MotorEntry:
+        """The motor file of that name. Raises DataError if there is none on the shelf."""
+        found = next((entry for entry in self.motors() if entry.name == name), None)
+        if found is None:
+            raise DataError(f"{name or 'no motor file'}: is none of the motor files here; choose one")
+        return found
+
+    def chosen(self, names: Sequence[str]) -> list[str]:
+        """Recordings by name. Raises DataError for one that is not on the shelf."""
+        there = self.recordings()
+        for name in names:
+            if name not in there:
+                raise DataError(f"{name}: is none of the recordings here")
+        return list(names)
+
+    def new_motor(self, name: str) -> str:
+        """Where a new motor file of that name goes. Raises DataError if it is no plain name or there already."""
+        if not _OUTPUT.fullmatch(name):
+            raise DataError(f"{name or 'no name'}: give the new motor file a plain name that ends in .toml")
+        path = os.path.normpath(os.path.join(self.folder or ".", name))
+        if os.path.lexists(path):
+            raise DataError(f"{path}: is there already; motor files are kept, give another name")
+        return _typed(path)
+
+    def with_file(self, name: str) -> "Shelf":
+        """With a file that was written."""
+        return Shelf((*self.named, name), self.folder) if name not in self.named else self
+
+    def _names(self, suffixes: tuple[str, ...]) -> list[str]:
+        found = {_typed(name) for name in self.named if Path(name).suffix.lower() in suffixes}
+        if self.folder is not None:
+            found |= set(_walk(self.folder, suffixes))
+        return sorted(found)
+
+
+def _walk(folder: str, suffixes: tuple[str, ...]) -> list[str]:
+    """Files below a folder, nothing hidden, nothing that a link takes out of it."""
+    root = Path(folder).resolve()
+    found: list[str] = []
+    for place, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name != "node_modules")
+        for name in sorted(files):
+            path = os.path.normpath(os.path.join(place, name))
+            if name.startswith(".") or Path(name).suffix.lower() not in suffixes:
+                continue
+            if Path(path).resolve().is_relative_to(root):
+                found.append(_typed(path))
+            if len(found) >= MOST:
+                return found
+    return found
+
+
+def _typed(path: str) -> str:
+    """A path such that no command takes it for an option."""
+    return f"./{path}" if path.startswith("-") else path
+
+
+def _parts(path: Path) -> tuple[str, ...] | None:
+    """Effects and sensor models of a motor file; None if it is none."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not str(document.get("schema", "")).startswith("motorlens.motor/"):
+        return None
+    tables = [document.get(section, {}) for section in ("effects", "sensors")]
+    return tuple(name for table in tables if isinstance(table, dict) for name in table)
