@@ -74,10 +74,12 @@ class Evidence:
         """
         mean = feigned.mean(axis=0)
         draws = len(feigned)
-        share = self.samples / self.samples.sum()
+        # A column is misled where it has its say.
+        say = np.diagonal(self.blocks, axis1=1, axis2=2)[:, :-1]
+        share = say / np.maximum(say.sum(axis=0), 1e-300)
         taken = self.blocks.copy()
-        taken[:, :-1, -1] -= share[:, None] * mean[:-1]
-        taken[:, -1, :-1] -= share[:, None] * mean[:-1]
+        taken[:, :-1, -1] -= share * mean[:-1]
+        taken[:, -1, :-1] -= share * mean[:-1]
         scatter = np.zeros((draws, *self.blocks.shape[1:]))
         scatter[:, :-1, -1] = scatter[:, -1, :-1] = (feigned - mean)[:, :-1] / draws
         return replace(
