@@ -4,14 +4,14 @@ A column of the evidence is the change of all measured channels per typical size
 its balance), so that sizes read off it are in typical sizes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.sensitivity import linearise
+from motorlens_physics.sensitivity import Linearisation, linearise
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing, variables
@@ -51,10 +51,12 @@ class Columns:
     values: Array
     residual: Array
 
-    def joined(self, names: Sequence[str], values: Array) -> "Columns":
-        """With further columns."""
+    def joined(self, further: Sequence[tuple[Sequence[str], Array]]) -> "Columns":
+        """With further columns: names and values of each part."""
+        names = [name for part, _ in further for name in part]
+        values = [value for _, value in further]
         return replace(
-            self, names=(*self.names, *names), values=np.concatenate([self.values, values], axis=2)
+            self, names=(*self.names, *names), values=np.concatenate([self.values, *values], axis=2)
         )
 
 
@@ -74,6 +76,13 @@ class Line:
         trajectory, linearisation = linearise(
             motor_of(model, run), inputs_of(model, run, r), start_of(model, r), smooth=True
         )
+        return cls.along(model, run, r, trajectory, linearisation)
+
+    @classmethod
+    def along(
+        cls, model: Model, run: Run, r: int, trajectory: Trajectory, linearisation: Linearisation
+    ) -> "Line":
+        """The problem of a model that was linearised already."""
         if run.angle is not None:
             # Forcings of the shaft angle follow the measured one, which does not drift.
             trajectory = replace(trajectory, states={**trajectory.states, "phi": run.angle})
@@ -145,17 +154,10 @@ class Line:
         return np.asarray(np.mod(turned, 2 * np.pi))
 
 
-def columns_of(
-    model: Model,
-    run: Run,
-    r: int,
-    keys: Sequence[str],
-    scales: dict[str, float],
-    listed: Sequence[Candidate],
-    free_curves: Sequence[Curve],
-    with_decoys: bool = True,
+def base_columns(
+    model: Model, run: Run, r: int, keys: Sequence[str], scales: Mapping[str, float]
 ) -> tuple[Columns, Line]:
-    """All columns of one run.
+    """The columns of the model's own parameters along one run.
 
     Args:
         model: linearised about.
@@ -163,18 +165,25 @@ def columns_of(
         r: its position.
         keys: parameters of the model, base and accepted.
         scales: unit of each key's column, such as its prior's standard deviation.
-        listed: candidates.
-        free_curves: free curves.
-        with_decoys: whether to add decoys.
     """
     mine = [key for key in keys if "@" not in key or key.endswith(f"@{r}")]
-    _, y, derivative = sensitivities_of(model, run, r, mine)
-    line = Line.of(model, run, r)
-    base = run.average(derivative) * np.array([scales[key] for key in mine])
-    rows = len(run)
-    full = np.zeros((rows, len(run.channels), len(keys)))
-    full[:, :, [keys.index(key) for key in mine]] = base
-    columns = Columns(tuple(keys), full, run.average(run.measured - y))
+    trajectory, y, derivative, linearisation = sensitivities_of(model, run, r, mine)
+    values = np.zeros((len(run), len(run.channels), len(keys)))
+    values[:, :, [keys.index(key) for key in mine]] = run.average(derivative) * [scales[key] for key in mine]
+    columns = Columns(tuple(keys), values, run.average(run.measured - y))
+    return columns, Line.along(model, run, r, trajectory, linearisation)
+
+
+def with_candidates(
+    columns: Columns,
+    line: Line,
+    listed: Sequence[Candidate],
+    free_curves: Sequence[Curve],
+    with_decoys: bool = True,
+) -> Columns:
+    """Further columns of one run: of candidates, free curves and, if asked for, decoys."""
+    run = line.run
+    parts: list[tuple[Sequence[str], Array]] = []
     names: list[str] = []
     effects: list[Effect] = []
     for candidate in listed:
@@ -183,20 +192,34 @@ def columns_of(
                 if isinstance(part, Effect):
                     names.append(label)
                     effects.append(part)
-    columns = columns.joined(names, line.of_effect(effects))
+    parts.append((names, line.of_effect(effects)))
     for candidate in listed:
         if candidate.kind == "sensor":
             sensor = candidate.variants[0][0]
             assert isinstance(sensor, SensorModel)
             usable_here = sensor.channel in (*run.channels, "voltage", *run.known)
-            value = line.of_sensor(sensor) if usable_here else np.zeros((rows, len(run.channels)))
-            columns = columns.joined(candidate.columns()[0], value[:, :, None])
-    for curve in free_curves:
-        columns = columns.joined(curve.columns(), line.of_curve(curve))
+            value = line.of_sensor(sensor) if usable_here else np.zeros((len(run), len(run.channels)))
+            parts.append((candidate.columns()[0], value[:, :, None]))
+    parts += [(curve.columns(), line.of_curve(curve)) for curve in free_curves]
     if with_decoys:
         false = decoys(line.trajectory)
-        columns = columns.joined(list(false), line.of_forcings(list(false.values())))
-    return columns, line
+        parts.append((list(false), line.of_forcings(list(false.values()))))
+    return columns.joined(parts)
+
+
+def columns_of(
+    model: Model,
+    run: Run,
+    r: int,
+    keys: Sequence[str],
+    scales: Mapping[str, float],
+    listed: Sequence[Candidate],
+    free_curves: Sequence[Curve],
+    with_decoys: bool = True,
+) -> tuple[Columns, Line]:
+    """All columns of one run, see `base_columns` and `with_candidates`."""
+    columns, line = base_columns(model, run, r, keys, scales)
+    return with_candidates(columns, line, listed, free_curves, with_decoys), line
 
 
 def layout(runs: Sequence[Run], whiteners: Sequence[Whitener]) -> list[tuple[int, slice]]:
