@@ -12,9 +12,11 @@ doi:10.1111/j.1468-0262.2005.00615.x.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 Array = NDArray[np.float64]
 
@@ -66,8 +68,7 @@ class Evidence:
 
     def solve(self, names: Sequence[str]) -> tuple[Array, Array]:
         """Least squares on some columns: coefficients (k,) and covariance (k, k) for unit white noise."""
-        total = self.blocks.sum(axis=0)
-        at = self.index(names)
+        total, at = self.total(), self.index(names)
         inverse = _inverse(total[np.ix_(at, at)])
         return inverse @ total[at, -1], inverse
 
@@ -77,22 +78,21 @@ class Evidence:
         rest = np.setdiff1d(np.arange(len(self.names)), at)
         if not len(at):
             return self
-        total = self.blocks.sum(axis=0)
+        total = self.total()
         weights = _inverse(total[np.ix_(at, at)]) @ total[np.ix_(at, rest)]
         # blocks' = P^T blocks P with P = [-weights; I]
-        inner = self.blocks[:, at[:, None], at[None, :]]
-        cross = self.blocks[:, at[:, None], rest[None, :]]
-        mixed = np.einsum("ki,bkj->bij", weights, cross, optimize=True)
-        left = (
-            self.blocks[:, rest[:, None], rest[None, :]]
-            - mixed
-            - mixed.transpose(0, 2, 1)
-            + np.einsum("ki,bkl,lj->bij", weights, inner, weights, optimize=True)
-        )
+        inner = self.blocks[:, at[:, None], at]
+        cross = self.blocks[:, at[:, None], rest]
+        half = weights.T @ (0.5 * inner @ weights - cross)
+        left = self.blocks[:, rest[:, None], rest] + half + half.transpose(0, 2, 1)
         return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest])
 
     def total(self) -> Array:
         """(M, M) sums over all blocks."""
+        return self._total
+
+    @cached_property
+    def _total(self) -> Array:
         return np.asarray(self.blocks.sum(axis=0))
 
     def error(self) -> float:
@@ -136,11 +136,9 @@ class Score:
     @property
     def p(self) -> float:
         """Probability of a statistic as large by chance, from Student's t squared (F) with the effective blocks."""
-        from scipy import stats
-
         k = len(self.names)
         freedom = max(self.blocks - 1, 1.0)
-        return float(stats.f.sf(self.statistic / k, k, freedom * 2))
+        return float(fdtrc(k, freedom * 2, self.statistic / k))
 
     def detectable(self, statistic: float) -> float:
         """The size of the first column at which the statistic would be expected to reach this value."""

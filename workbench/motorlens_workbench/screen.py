@@ -237,17 +237,19 @@ def layout(runs: Sequence[Run], whiteners: Sequence[Whitener]) -> list[tuple[int
 def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequence[Whitener]) -> Evidence:
     """Whiten all columns and sum their products by blocks of time."""
     names = columns[0].names
-    whitened, kept = [], []
+    white = []
     for one, run, whitener in zip(columns, runs, whiteners, strict=True):
-        z = whitener(np.concatenate([one.values, one.residual[:, :, None]], axis=2))
-        kept.append(usable(run, whitener))
-        z[~kept[-1]] = 0.0
-        whitened.append(z)
+        kept = usable(run, whitener)
+        z, e = whitener(one.values), whitener(one.residual)
+        z[~kept], e[~kept] = 0.0, 0.0
+        white.append((z, e, kept))
     blocks, samples = [], []
     for r, rows in layout(runs, whiteners):
-        part = whitened[r][rows].reshape(-1, len(names) + 1)
-        blocks.append(part.T @ part)
-        samples.append(float(kept[r][rows].sum()))
+        z, e, kept = white[r]
+        part, left = z[rows].reshape(-1, len(names)), e[rows].ravel()
+        cross = (part.T @ left)[:, None]
+        blocks.append(np.block([[part.T @ part, cross], [cross.T, left @ left]]))
+        samples.append(float(kept[rows].sum()))
     return Evidence.of(names, np.array(blocks), np.array(samples))
 
 

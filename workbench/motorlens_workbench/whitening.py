@@ -9,8 +9,8 @@ Multiple Time Series Analysis, 2005, section 3.2).
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -44,27 +44,59 @@ class Whitener:
 
     def __call__(self, y: Array) -> Array:
         """Whiten (N, C) or (N, C, m): prediction errors in units of sigma; the first `order` rows are 0."""
-        columns = y[:, :, None] if y.ndim == 2 else y
-        white = np.array(columns, dtype=np.float64)
-        order = self.order
-        for lag, weights in enumerate(self.coefficients):
-            _subtract(white[lag:], weights, columns[: len(columns) - lag])
-        for reach, weights in zip(self.memories, self.memory, strict=True):
-            _subtract(white[1:], weights, past_mean(columns, reach)[:-1])
-        white /= self.sigma[None, :, None]
-        white[:order] = 0.0
-        return white[:, :, 0] if y.ndim == 2 else white
+        columns = np.ascontiguousarray(y[:, :, None] if y.ndim == 2 else y, dtype=np.float64)
+        keep = np.exp(-1 / np.array(self.memories))
+        errors = _errors(columns, self.coefficients, keep, self.memory, self.sigma)
+        return errors[:, :, 0] if y.ndim == 2 else errors
 
 
-def _subtract(white: Array, weights: Array, past: Array) -> None:
-    for c, j in zip(*np.nonzero(weights), strict=True):
-        white[:, c] -= weights[c, j] * past[:, j]
+@njit(cache=True, nogil=True)
+def _errors(y, coefficients, keep, memory, sigma):  # type: ignore[no-untyped-def]
+    """Prediction errors over sigma, row by row, so that many columns pass through the processor's cache only once."""
+    rows, channels, columns = y.shape
+    order = len(coefficients) - 1
+    errors = np.zeros(y.shape)
+    means = np.zeros((len(keep), channels, columns))
+    for t in range(rows):
+        if t >= order:
+            for c in range(channels):
+                for k in range(columns):
+                    errors[t, c, k] = y[t, c, k]
+                for lag in range(order + 1):
+                    for j in range(channels):
+                        weight = coefficients[lag, c, j]
+                        if weight != 0.0:
+                            for k in range(columns):
+                                errors[t, c, k] -= weight * y[t - lag, j, k]
+                for q in range(len(keep)):
+                    for j in range(channels):
+                        weight = memory[q, c, j]
+                        if weight != 0.0:
+                            for k in range(columns):
+                                errors[t, c, k] -= weight * means[q, j, k]
+                for k in range(columns):
+                    errors[t, c, k] /= sigma[c]
+        for q in range(len(keep)):
+            for j in range(channels):
+                for k in range(columns):
+                    means[q, j, k] = keep[q] * means[q, j, k] + (1 - keep[q]) * y[t, j, k]
+    return errors
+
+
+@njit(cache=True, nogil=True)
+def _past_mean(y, keep):  # type: ignore[no-untyped-def]
+    means = np.empty(y.shape)
+    for j in range(y.shape[1]):
+        mean = 0.0
+        for t in range(y.shape[0]):
+            mean = keep * mean + (1 - keep) * y[t, j]
+            means[t, j] = mean
+    return means
 
 
 def past_mean(y: Array, reach: float) -> Array:
-    """Exponential mean over the past, the present included, along the first axis; starts at zero."""
-    keep = float(np.exp(-1 / reach))
-    return np.asarray(lfilter([1 - keep], [1.0, -keep], y, axis=0))
+    """Exponential mean of (N, C) over the past, the present included; starts at zero."""
+    return np.asarray(_past_mean(np.ascontiguousarray(y), float(np.exp(-1 / reach))))
 
 
 def white(sigma: Array) -> Whitener:
