@@ -5,13 +5,11 @@ import json
 import os
 import shlex
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from motorlens_physics.motor_file import read_motor_file
-from motorlens_physics.recording import read_recording, write_recording
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.web.loopback import LoopbackServer
@@ -91,10 +89,6 @@ def simulate(duration="10", rate="100"):
     assert (
         main(["simulate", *arguments, "--effect", f"coulomb_friction.tau_c={TAU_C}", "-o", "bench.csv"]) == 0
     )
-    # Without its temperature there is less to test, and less to wait for.
-    recording = read_recording("bench.csv")
-    kept = {name: recording.channels[name] for name in ("voltage", "current", "speed", "load_torque")}
-    write_recording(replace(recording, channels=kept), "bench.csv")
 
 
 @pytest.mark.slow
