@@ -19,6 +19,9 @@ import importlib.metadata, json, sys
 from motorlens_runtime.cli import main
 status = main(["infer", "rec.csv", "--sensor", "s.onnx", "-o", "out.csv"])
 status += main(["run", "--source", "file:rec.csv", "--sensor", "s.onnx", "--publish", "csv:run.csv", "--rate", "0"])
+from motorlens_runtime.monitor.page import FILES
+from motorlens_runtime.web import asset
+status += not all(asset(package, name) for package, name, _ in FILES.values())  # the live page came along
 installed = sorted(d.metadata["Name"].lower() for d in importlib.metadata.distributions())
 print(json.dumps({"status": status, "installed": installed, "imported": sorted({m.partition(".")[0] for m in sys.modules})}))
 """

@@ -77,10 +77,31 @@ def linearise(
     Raises:
         ModelError: as `simulate`.
     """
-    n = len(motor.states())
-    matrices = np.empty((max(inputs.time_s.size - 1, 1), n, 3 * n))[: inputs.time_s.size - 1]
-    trajectory, _ = _forward(motor, inputs, initial, (), (), tolerance, smooth, matrices)
-    return trajectory, Linearisation(tuple(trajectory.states), matrices, inputs.held)
+    trajectory, _, linear = linearise_and_differentiate(
+        motor, inputs, initial, (), tolerance=tolerance, smooth=smooth
+    )
+    return trajectory, linear
+
+
+def linearise_and_differentiate(
+    motor: Motor,
+    inputs: Inputs,
+    initial: Mapping[str, float] | None,
+    keys: Sequence[str],
+    *,
+    tolerance: float = TOLERANCE,
+    smooth: bool = False,
+) -> tuple[Trajectory, dict[str, dict[str, Array]], Linearisation]:
+    """What `sensitivities` and `linearise` give, from one pass.
+
+    Raises:
+        ModelError: as `sensitivities`.
+    """
+    n, steps = len(motor.states()), inputs.time_s.size - 1
+    matrices = np.empty((max(steps, 1), n, 3 * n))[:steps]
+    trajectory, kept = _forward(motor, inputs, initial, keys, (), tolerance, smooth, matrices)
+    linear = Linearisation(tuple(trajectory.states), matrices, inputs.held)
+    return trajectory, _by_key(keys, trajectory, kept), linear
 
 
 def sensitivities(
@@ -118,9 +139,12 @@ def sensitivities(
     trajectory, kept = _forward(
         motor, inputs, initial, keys, candidates, tolerance, smooth, np.empty((0, 0, 0))
     )
-    return trajectory, {
-        key: {name: kept[:, r, j] for r, name in enumerate(trajectory.states)}
-        for j, key in enumerate(columns)
+    return trajectory, _by_key(columns, trajectory, kept)
+
+
+def _by_key(keys: Sequence[str], trajectory: Trajectory, kept: Array) -> dict[str, dict[str, Array]]:
+    return {
+        key: {name: kept[:, r, j] for r, name in enumerate(trajectory.states)} for j, key in enumerate(keys)
     }
 
 

@@ -1,6 +1,6 @@
 """From samples to features: the signals of a specification, and the rows that the network is given."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from motorlens_runtime.specification import Specification, signals_of
 
 Array = NDArray[np.float64]
-Columns = dict[str, Array]
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,8 @@ class FeatureMap:
     def __init__(self, specification: Specification) -> None:
         filters, features = specification.filters, specification.features
         self._signals = signals_of(specification)
+        self._factors = [_FACTORS[name] for name in self._signals]
+        self._uses_emf = any("emf" in factors for factors in self._factors)
         self._resistance_ohm = specification.resistance_ohm
         place = {name: index for index, name in enumerate(self._signals)}
         first = len(place)
@@ -50,12 +51,18 @@ class FeatureMap:
 
     def signals(self, channels: Channels) -> Array:
         """The signals (U, n) of n samples."""
-        known: Columns = {"voltage": channels.voltage_V, "current": channels.current_A}
+        known = {"voltage": channels.voltage_V, "current": channels.current_A}
         if channels.ambient_C is not None:
             known["ambient"] = channels.ambient_C
+        if self._uses_emf:
+            # Back-EMF with the winding taken as cold.
+            known["emf"] = channels.voltage_V - self._resistance_ohm * channels.current_A
         table = np.empty((len(self._signals), len(channels.voltage_V)))
-        for row, name in enumerate(self._signals):
-            table[row] = _signal(name, known, self._resistance_ohm)
+        for row, factors in zip(table, self._factors, strict=True):
+            if len(factors) == 2:
+                np.multiply(known[factors[0]], known[factors[1]], out=row)
+            else:
+                row[:] = known[factors[0]] if factors else 1.0
         return table
 
     def features(self, signals: Array, filtered: Array, observed: Array | None) -> Array:
@@ -67,21 +74,9 @@ class FeatureMap:
         return features
 
 
-def _signal(name: str, known: Columns, resistance_ohm: float) -> Array:
-    if name not in known:
-        if name in ("emf", "emf_squared", "emf_power") and "emf" not in known:
-            # Back-EMF with the winding taken as cold.
-            known["emf"] = known["voltage"] - resistance_ohm * known["current"]
-        if name != "emf":
-            known[name] = _PRODUCTS[name](known)
-    return known[name]
-
-
-_PRODUCTS: Mapping[str, Callable[[Columns], Array]] = {
-    "one": lambda s: np.ones_like(s["voltage"]),
-    "current_squared": lambda s: s["current"] * s["current"],
-    "voltage_squared": lambda s: s["voltage"] * s["voltage"],
-    "power": lambda s: s["voltage"] * s["current"],
-    "emf_squared": lambda s: s["emf"] * s["emf"],
-    "emf_power": lambda s: s["emf"] * s["current"],
-}
+# Each signal as a product of at most two of what is measured.
+_FACTORS: Mapping[str, tuple[str, ...]] = {
+    "one": (), "voltage": ("voltage",), "current": ("current",), "ambient": ("ambient",), "emf": ("emf",),
+    "current_squared": ("current", "current"), "voltage_squared": ("voltage", "voltage"), "power": ("voltage", "current"),
+    "emf_squared": ("emf", "emf"), "emf_power": ("emf", "current"),
+}  # fmt: skip

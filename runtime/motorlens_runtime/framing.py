@@ -253,18 +253,24 @@ class Decoder:
 
     Attributes:
         bad_frames: pieces between zeros that were not a valid frame of this version.
-        bytes_seen: all bytes fed so far.
     """
 
     def __init__(self) -> None:
         self._rest = b""
         self._overlong = False
         self.bad_frames = 0
-        self.bytes_seen = 0
+
+    def whole(self, data: bytes) -> Frame | None:
+        """The frame, where `data` is one sound frame from its first byte to its zero and nothing is unfinished; else None.
+
+        The bytes are not taken in: the caller is done with them, or feeds them.
+        """
+        if self._rest or self._overlong or data.find(DELIMITER) != len(data) - 1:
+            return None
+        return decode(data[:-1])
 
     def feed(self, data: bytes) -> list[FrameRun]:
         """Decode what is complete, in order of arrival; the unfinished tail waits for the next call."""
-        self.bytes_seen += len(data)
         pieces = (self._rest + data).split(DELIMITER)
         self._rest = pieces.pop()
         if self._overlong and pieces:

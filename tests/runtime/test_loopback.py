@@ -68,6 +68,14 @@ def test_long_and_endless_bodies_are_refused(server):
     assert ask(server, "/x", "POST", b"", Content_Length="-1", **json)[0] == 413
 
 
+def test_a_mistake_in_an_answer_is_told_to_both_sides(capsys):
+    server = LoopbackServer(lambda request: 1 // 0)
+    status, text, _ = ask(server, **bearer(server))
+    server.close()
+    assert status == 500 and "mistake" in text and "ZeroDivision" not in text
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
 def test_an_empty_token_lets_programs_of_this_machine_in_but_no_other_site():
     server = LoopbackServer(lambda request: Answer(b"here", "text/plain"), token="")
     assert server.url == f"http://127.0.0.1:{server.port}/"

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 Array = NDArray[np.float64]
 
@@ -102,15 +103,10 @@ class Evidence:
         total = self.total
         weights = _inverse(total[np.ix_(at, at)]) @ total[np.ix_(at, rest)]
         # blocks' = P^T blocks P with P = [-weights; I]
-        inner = self.blocks[:, at[:, None], at[None, :]]
-        cross = self.blocks[:, at[:, None], rest[None, :]]
-        mixed = np.einsum("ki,bkj->bij", weights, cross, optimize=True)
-        left = (
-            self.blocks[:, rest[:, None], rest[None, :]]
-            - mixed
-            - mixed.transpose(0, 2, 1)
-            + np.einsum("ki,bkl,lj->bij", weights, inner, weights, optimize=True)
-        )
+        inner = self.blocks[:, at[:, None], at]
+        cross = self.blocks[:, at[:, None], rest]
+        half = weights.T @ (0.5 * inner @ weights - cross)
+        left = self.blocks[:, rest[:, None], rest] + half + half.transpose(0, 2, 1)
         return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest])
 
     @cached_property
@@ -159,11 +155,9 @@ class Score:
     @property
     def p(self) -> float:
         """Probability of a statistic as large by chance, from Student's t squared (F) with the effective blocks."""
-        from scipy import stats
-
         k = len(self.names)
         freedom = max(self.blocks - 1, 1.0)
-        return float(stats.f.sf(self.statistic / k, k, freedom * 2))
+        return float(fdtrc(k, freedom * 2, self.statistic / k))
 
     def detectable(self, statistic: float) -> float:
         """The size of the first column at which the statistic would be expected to reach this value."""

@@ -288,7 +288,7 @@ def normal_equations(
     for r, (run, whitener, residual) in enumerate(zip(runs, whiteners, residuals, strict=True)):
         mine = [k for k, key in enumerate(keys) if "@" not in key or key.endswith(f"@{r}")]
         if by_differences is None:
-            _, _, columns = sensitivities_of(model, run, r, [keys[k] for k in mine])
+            _, _, columns, _ = sensitivities_of(model, run, r, [keys[k] for k in mine])
         else:
             _, _, columns = differences_of(
                 model, run, r, [keys[k] for k in mine], _steps(model, by_differences)

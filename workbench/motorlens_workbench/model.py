@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.sensitivity import linearise, sensitivities
+from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, cores, simulate
 from motorlens_workbench.run import STATE_OF, Run
@@ -142,8 +142,10 @@ def through_sensors(model: Model, run: Run, columns: Array) -> Array:
     return out
 
 
-def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tuple[Trajectory, Array, Array]:
-    """Trajectory, shown outputs (N, C), and their derivatives (N, C, m) with respect to parameters of the model.
+def sensitivities_of(
+    model: Model, run: Run, r: int, keys: Sequence[str]
+) -> tuple[Trajectory, Array, Array, Linearisation]:
+    """Trajectory, shown outputs (N, C), their derivatives (N, C, m) to parameters of the model, and the linearised motor.
 
     Keys of sensors and of nuisances are differentiated directly, those of the motor by the forward pass.
     """
@@ -157,9 +159,8 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
         if ("@" not in key and not _is_sensor(model, key) and not key.startswith(turned))
         or name.startswith("initial.")
     )
-    trajectory, derivative = sensitivities(motor, inputs, start, of_motor, (), smooth=True)
+    trajectory, derivative, linear = linearise_and_differentiate(motor, inputs, start, of_motor, smooth=True)
     y = _stack(run, trajectory)
-    forced = [name for name in local if name == "load"]
     columns = np.zeros((len(y), len(run.channels), len(keys)))
     outside = [
         key
@@ -167,20 +168,14 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
         if key.startswith(turned)
         or (_is_sensor(model, key) and _sensor(model, key).channel not in run.channels)
     ]
-    if forced or outside:
-        _, linearisation = linearise(motor, inputs, start, smooth=True)
-    else:
-        linearisation = None
     for j, name in enumerate(local):
         if "@" in name:
             continue
         if name in of_motor:
             columns[:, :, j] = _stack_states(run, derivative[name])
         elif name == "load":
-            assert linearisation is not None
-            columns[:, :, j] = _stack_states(run, linearisation.respond(torque_Nm=-np.ones((len(y), 1))))[
-                :, :, 0
-            ]
+            braked = linear.respond(torque_Nm=-np.ones((len(y), 1)))
+            columns[:, :, j] = _stack_states(run, braked)[:, :, 0]
         elif name == "ambient" and "temperature" in run.channels:
             columns[:, run.channels.index("temperature"), j] = 1.0
     columns = through_sensors(model, run, columns)
@@ -196,14 +191,13 @@ def sensitivities_of(model: Model, run: Run, r: int, keys: Sequence[str]) -> tup
             if key not in outside:
                 columns[:, :, j] = (shown(nudged, run, r, y) - out) / step
                 continue
-            assert linearisation is not None
             other = inputs_of(nudged, run, r)
-            moved = linearisation.respond(
+            moved = linear.respond(
                 voltage_V=(other.voltage_V - inputs.voltage_V)[:, None] / step,
                 torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
             )
             columns[:, :, j : j + 1] = through_sensors(model, run, _stack_states(run, moved))
-    return trajectory, out, columns
+    return trajectory, out, columns, linear
 
 
 def differences_of(

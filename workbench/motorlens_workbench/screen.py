@@ -4,14 +4,14 @@ A column of the evidence is the change of all measured channels per typical size
 its balance), so that sizes read off it are in typical sizes.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.sensitivity import linearise
+from motorlens_physics.sensitivity import Linearisation, linearise
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing
@@ -77,6 +77,13 @@ class Line:
         trajectory, linearisation = linearise(
             motor_of(model, run), inputs_of(model, run, r), start_of(model, r), smooth=True
         )
+        return cls.along(model, run, r, trajectory, linearisation)
+
+    @classmethod
+    def along(
+        cls, model: Model, run: Run, r: int, trajectory: Trajectory, linearisation: Linearisation
+    ) -> "Line":
+        """The problem of a model that was linearised already."""
         if run.angle is not None:
             # Forcings of the shaft angle follow the measured one, which does not drift.
             trajectory = replace(trajectory, states={**trajectory.states, "phi": run.angle})
@@ -146,7 +153,7 @@ def columns_of(
     run: Run,
     r: int,
     keys: Sequence[str],
-    scales: dict[str, float],
+    scales: Mapping[str, float],
     listed: Sequence[Candidate],
     free_curves: Sequence[Curve | Variation],
     with_decoys: bool = True,
@@ -164,8 +171,8 @@ def columns_of(
         with_decoys: whether to add decoys.
     """
     mine = [key for key in keys if "@" not in key or key.endswith(f"@{r}")]
-    _, y, derivative = sensitivities_of(model, run, r, mine)
-    line = Line.of(model, run, r)
+    trajectory, y, derivative, linearisation = sensitivities_of(model, run, r, mine)
+    line = Line.along(model, run, r, trajectory, linearisation)
     sensors = [candidate for candidate in listed if candidate.kind == "sensor"]
     effects = {
         label: part

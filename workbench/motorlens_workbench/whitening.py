@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -71,7 +70,7 @@ class Whitener:
         return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _whiten(y, first, coefficients, sigma, keep, memory, past, white):  # type: ignore[no-untyped-def]
     order, channels, width = len(coefficients) - 1, y.shape[1], y.shape[2]
     for row in range(len(white)):
@@ -99,9 +98,8 @@ def _whiten(y, first, coefficients, sigma, keep, memory, past, white):  # type: 
 
 
 def past_mean(y: Array, reach: float) -> Array:
-    """Exponential mean over the past, the present included, along the first axis; starts at zero."""
-    keep = float(np.exp(-1 / reach))
-    return np.asarray(lfilter([1 - keep], [1.0, -keep], y, axis=0))
+    """Exponential mean of (N, C) over the past, the present included; starts at zero."""
+    return np.asarray(_past_mean(np.ascontiguousarray(y), float(np.exp(-1 / reach))))
 
 
 def white(sigma: Array) -> Whitener:

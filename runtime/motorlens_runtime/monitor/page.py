@@ -33,7 +33,8 @@ WORDS = {
     Quality.STUCK: "a channel repeats itself",
     Quality.JUMP: "the current jumped faster than the inductance allows",
 }
-_FILES = {
+# What the page is made of: path, package and name of the file, its type.
+FILES = {
     "/": ("motorlens_runtime.monitor", "page.html", "text/html; charset=utf-8"),
     "/page.js": ("motorlens_runtime.monitor", "page.js", "text/javascript; charset=utf-8"),
     "/page.css": ("motorlens_runtime.monitor", "page.css", "text/css; charset=utf-8"),
@@ -108,8 +109,8 @@ class MonitorPage:
         """What the server sends."""
         if request.method != "GET":
             return refusal(405)
-        if request.path in _FILES:
-            package, name, kind = _FILES[request.path]
+        if request.path in FILES:
+            package, name, kind = FILES[request.path]
             return Answer(asset(package, name), kind)
         if request.path == "/about":
             return _json(self.about())

@@ -9,6 +9,7 @@ POST must come from a page of this server and be JSON.
 import hmac
 import secrets
 import threading
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from http.cookies import CookieError, SimpleCookie
@@ -28,6 +29,7 @@ _STATUS_WORDS = {
     405: "GET and POST only",
     413: "too long",
     415: "JSON only",
+    500: "the server has made a mistake; its terminal says where",
 }
 
 
@@ -174,7 +176,12 @@ class _Handler(BaseHTTPRequestHandler):
     def _handle(self, body: bytes) -> None:
         parts = urlsplit(self.path)
         request = Request(self.command, parts.path, dict(parse_qsl(parts.query)), body)
-        self._send(self.server.guard.judge(request, dict(self.headers.items())))
+        try:
+            answer = self.server.guard.judge(request, dict(self.headers.items()))
+        except Exception:  # a mistake of ours: the browser is told, and whoever started this sees where
+            traceback.print_exc()
+            answer = refusal(500)
+        self._send(answer)
 
     def _send(self, answer: Answer) -> None:
         self.send_response(answer.status)

@@ -71,12 +71,14 @@ class Job:
 
     def _read_progress(self) -> None:
         assert self._process.stderr is not None
-        for line in self._process.stderr:
-            self.progress = [*self.progress[-_LINES:], line.rstrip("\n")]
+        with self._process.stderr as lines:
+            for line in lines:
+                self.progress = [*self.progress[-_LINES:], line.rstrip("\n")]
 
     def _read_output(self) -> None:
         assert self._process.stdout is not None
-        self.output = self._process.stdout.read()
+        with self._process.stdout as text:
+            self.output = text.read()
 
     def _wait(self, done: Callable[["Job"], None]) -> None:
         status = self._process.wait()

@@ -1,0 +1,266 @@
+"""The page of the workbench, over HTTP: the four steps are the commands they stand for, and nothing else can be reached."""
+
+import http.client
+import json
+import os
+import shlex
+import time
+from pathlib import Path
+
+import pytest
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_runtime.cli import main
+from motorlens_runtime.errors import DataError
+from motorlens_runtime.web.loopback import LoopbackServer
+from motorlens_workbench.web.serve import WorkbenchPage
+from motorlens_workbench.web.session import Order, Session, words_of
+from motorlens_workbench.web.shelf import Shelf
+
+MOTOR = (Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml").read_text(encoding="utf-8")
+TAU_C = 0.4
+
+
+class Browser:
+    """Asks as the page's script does."""
+
+    def __init__(self, folder: Path, named: tuple[str, ...] = ()) -> None:
+        self.results = folder / "results"
+        self.results.mkdir()
+        self.session = Session(Shelf(named, "."), self.results)
+        page = WorkbenchPage(
+            self.session, {"motor": "motor.toml", "recordings": [], "columns": []}, ["coulomb_friction"]
+        )
+        self.server = LoopbackServer(page.answer)
+
+    def ask(self, path, document=None, **headers):
+        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
+        headers = {"Authorization": f"Bearer {self.server.token}", **headers}
+        if document is None:
+            connection.request("GET", path, None, headers)
+        else:
+            connection.request(
+                "POST", path, json.dumps(document), {"Content-Type": "application/json", **headers}
+            )
+        reply = connection.getresponse()
+        found = reply.status, reply.read()
+        self.headers = dict(reply.getheaders())
+        connection.close()
+        return found
+
+    def json(self, path, document=None):
+        status, body = self.ask(path, document)
+        return {"status": status, **json.loads(body)}
+
+    def take(self, **order):
+        """A step, to its end; returns it as the page sees it, and what it found."""
+        begun = self.json("/steps", {"motor": "motor.toml", "recordings": ["bench.csv"], **order})
+        assert begun["status"] == 200 and begun["state"] == "running", begun
+        self.session.join()
+        step = self.json("/state")["steps"][-1]
+        return step, self.json(f"/results/{step['number']}.json") if step["state"] == "done" else None
+
+    def close(self):
+        self.session.cancel()
+        self.server.close()
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("motor.toml").write_text(MOTOR, encoding="utf-8")
+    browser = Browser(tmp_path)
+    yield browser
+    browser.close()
+
+
+def simulate(duration="10", rate="100"):
+    arguments = [
+        "motor.toml",
+        "--scenario",
+        "load_steps",
+        "--duration",
+        duration,
+        "--rate",
+        rate,
+        "--noise",
+        "0.2%",
+    ]
+    assert (
+        main(["simulate", *arguments, "--effect", f"coulomb_friction.tau_c={TAU_C}", "-o", "bench.csv"]) == 0
+    )
+
+
+@pytest.mark.slow
+def test_the_four_steps(bench, capsys):
+    simulate()
+    choice = bench.json("/choice")
+    assert choice["motors"] == [{"name": "motor.toml", "parts": []}] and choice["recordings"] == ["bench.csv"]
+
+    step, before = bench.take(kind="compare")
+    assert step["command"] == "motorlens compare bench.csv --motor motor.toml"
+    # The command that is shown gives the same document and the same page.
+    assert main([*shlex.split(step["command"])[1:], "--json", "cli.json", "--html", "cli.html"]) == 0
+    assert json.loads(Path("cli.json").read_text()) == {k: v for k, v in before.items() if k != "status"}
+    status, page = bench.ask("/results/1.html")
+    assert status == 200 and page == Path("cli.html").read_bytes()
+    assert bench.headers["Content-Security-Policy"].startswith("sandbox allow-scripts")
+    assert step["sentence"] in capsys.readouterr().out and "mechanical equation" in step["sentence"]
+
+    step, found = bench.take(kind="diagnose")
+    assert step["state"] == "done" and found["sentence"] == step["sentence"]
+    assert any("coulomb_friction" in group for group in [found["chosen"], *found["groups"]])
+
+    step, added = bench.take(kind="add", effect="coulomb_friction", output="better.toml")
+    assert step["written"] == "better.toml" and "--fit bench.csv -o better.toml" in step["command"]
+    assert [rung["added"] for rung in added["ladder"]] == ["", "coulomb_friction"]
+    for channel in ("current", "speed"):
+        assert added["ladder"][1]["held_out"][channel] < 0.8 * added["ladder"][0]["held_out"][channel]
+    assert read_motor_file("better.toml").values()["coulomb_friction.tau_c"] == pytest.approx(TAU_C, rel=0.05)
+    assert Path("motor.toml").read_text(encoding="utf-8") == MOTOR
+    entries = {entry["name"]: entry["parts"] for entry in bench.json("/choice")["motors"]}
+    assert entries == {"motor.toml": [], "better.toml": ["coulomb_friction"]}
+
+    step, after = bench.take(kind="compare", motor="better.toml")
+    assert after["channels"]["current"]["rmse"] < 0.5 * before["channels"]["current"]["rmse"]
+
+    step, removed = bench.take(
+        kind="remove", motor="better.toml", effect="coulomb_friction", output="back.toml"
+    )
+    assert "--remove" in step["command"] and step["written"] == "back.toml"
+    rungs = [rung["held_out"]["current"] for rung in removed["ladder"]]
+    assert rungs[1] > rungs[0] and "higher" in step["sentence"]
+    assert [step["number"] for step in bench.json("/state")["steps"]] == [1, 2, 3, 4, 5]
+
+
+def test_an_error_is_the_line_that_the_command_prints(bench, capsys):
+    Path("bench.csv").write_text("time_s,voltage_V\n0,1\n1,2\n")
+    step, _ = bench.take(kind="compare")
+    assert step["state"] == "failed"
+    assert main(shlex.split(step["command"])[1:]) == 1
+    assert capsys.readouterr().err == f"motorlens compare: {step['sentence']}\n"
+    assert bench.ask("/results/1.html")[0] == 404
+
+
+def test_a_step_can_be_cancelled_and_leaves_nothing(bench):
+    simulate(duration="60", rate="500")
+    order = {"kind": "diagnose", "motor": "motor.toml", "recordings": ["bench.csv"]}
+    assert bench.json("/steps", order)["status"] == 200
+    process = bench.session._job._process
+    while not (told := bench.json("/state")["progress"]):
+        time.sleep(0.05)
+    assert "fitting the base parameters" in told[0]
+    assert bench.json("/steps", order)["status"] == 409
+    assert bench.json("/cancel", {})["status"] == 200
+    state = bench.json("/state")["steps"]
+    assert [(step["state"], step["sentence"]) for step in state] == [("cancelled", "Cancelled.")]
+    assert process.poll() is not None and not list(bench.results.iterdir())
+    assert bench.ask("/results/1.json")[0] == 404
+    assert bench.json("/cancel", {})["status"] == 200  # nothing runs: nothing happens
+
+
+def test_what_the_page_may_not_do_is_said(bench):
+    Path("bench.csv").touch()
+    good = {
+        "kind": "add",
+        "motor": "motor.toml",
+        "recordings": ["bench.csv"],
+        "effect": "radiation",
+        "output": "new.toml",
+    }
+    for change, said in (
+        ({"motor": "../motor.toml"}, "none of the motor files here"),
+        ({"motor": "/etc/passwd"}, "none of the motor files here"),
+        ({"motor": "--html=x"}, "none of the motor files here"),
+        ({"recordings": ["../secret.csv"]}, "none of the recordings here"),
+        ({"recordings": []}, "choose at least one"),
+        ({"judge": ["/etc/passwd"]}, "none of the recordings here"),
+        ({"effect": "--html"}, "choose an effect"),
+        ({"effect": ""}, "choose an effect"),
+        ({"output": "motor.toml"}, "is there already"),
+        ({"output": "../new.toml"}, "plain name"),
+        ({"output": "-new.toml"}, "plain name"),
+        ({"output": "new.py"}, "plain name"),
+        ({"columns": ["--json"]}, "write QUANTITY=NAME"),
+        ({"kind": "serve"}, "is no step"),
+        ({"recordings": "bench.csv"}, "none of the recordings here"),
+        ({"motor": 3}, "not of the form"),
+        ({"recordings": [{}]}, "not of the form"),
+        ({"recordings": 3}, "not of the form"),
+    ):
+        answer = bench.json("/steps", {**good, **change})
+        assert answer["status"] == 400 and said in answer["error"], change
+    assert bench.json("/state")["steps"] == [] and sorted(os.listdir()) == [
+        "bench.csv",
+        "motor.toml",
+        "results",
+    ]
+
+
+def test_only_its_own_pages_and_only_with_the_key(bench):
+    Path("secret.html").write_text("secret")
+    for path in ("/", "/page.js", "/draw.js", "/page.css", "/style.css", "/state", "/choice"):
+        assert bench.ask(path)[0] == 200
+        assert bench.ask(path, Authorization="Bearer wrong")[0] == 403
+        assert b"http" not in bench.ask(path)[1]  # nothing from elsewhere: it works without a network
+    for path in ("/serve.py", "/../serve.py", "/results/1.html", "/results/../secret.html", "/results/..%2fsecret.html",
+                 "/results/secret.html", "/results//etc/passwd", "/motor.toml"):  # fmt: skip
+        status, body = bench.ask(path)
+        assert status == 404 and b"secret" not in body, path
+    assert bench.ask("/steps", {}, Authorization="")[0] == 403
+    assert bench.ask("/steps", [])[0] == 400
+    assert bench.ask("/elsewhere", {})[0] == 404
+
+
+def test_the_shelf_holds_the_folder_and_what_was_named_and_no_more(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in (
+        "in/a.csv",
+        "in/deep/b.parquet",
+        "in/.hidden/c.csv",
+        "in/notes.txt",
+        "out/d.csv",
+        "out/e.csv",
+    ):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+    Path("in/motor.toml").write_text(MOTOR, encoding="utf-8")
+    Path("in/pyproject.toml").write_text("[project]\n")
+    Path("in/broken.toml").write_text("[")
+    Path("in/link.csv").symlink_to(tmp_path / "out/d.csv")
+    Path("in/folder").symlink_to(tmp_path / "out")
+    shelf = Shelf(("out/e.csv",), "in")
+    assert shelf.recordings() == ["in/a.csv", "in/deep/b.parquet", "out/e.csv"]
+    assert [entry.name for entry in shelf.motors()] == ["in/motor.toml"]
+    assert shelf.new_motor("new.toml") == "in/new.toml"
+    with pytest.raises(DataError, match=r"link\.csv: is none of the recordings"):
+        shelf.chosen(["in/link.csv"])
+
+
+def test_a_command_is_complete(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("-motor.toml").write_text(MOTOR, encoding="utf-8")
+    for name in ("a b.csv", "c.csv"):
+        Path(name).touch()
+    order = Order(
+        "add", "./-motor.toml", ("a b.csv",), ("speed=w rad/s",), ("c.csv",), "radiation", "new.toml", True
+    )
+    assert words_of(order, Shelf((), "."), "own.py") == (
+        "add", "radiation", "--motor", "./-motor.toml", "--fit", "a b.csv", "--judge", "c.csv", "--force", "-o", "new.toml",
+        "--column", "speed=w rad/s", "--effects-from", "own.py",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["nowhere.csv"], "nowhere.csv: there is no such file"),
+     (["notes.txt"], "notes.txt: recordings end in .csv or .parquet"),
+     (["--folder", "nowhere"], "--folder nowhere: there is no such folder"),
+     (["--motor", "notes.txt"], "notes.txt: is none of the motor files here")],
+)  # fmt: skip
+def test_a_mistake_gets_one_line(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    Path("notes.txt").touch()
+    assert main(["workbench", "--no-browser", *arguments]) == 1
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1 and error.startswith("motorlens workbench: ")
