@@ -97,6 +97,17 @@ def _whiten(y, first, coefficients, sigma, keep, memory, past, white):  # type: 
                     past[q, j, m] = keep[q] * past[q, j, m] + (1.0 - keep[q]) * y[t, j, m]
 
 
+@numba.njit(cache=True, nogil=True)
+def _past_mean(y, keep):  # type: ignore[no-untyped-def]
+    means = np.empty(y.shape)
+    for j in range(y.shape[1]):
+        mean = 0.0
+        for t in range(y.shape[0]):
+            mean = keep * mean + (1 - keep) * y[t, j]
+            means[t, j] = mean
+    return means
+
+
 def past_mean(y: Array, reach: float) -> Array:
     """Exponential mean of (N, C) over the past, the present included; starts at zero."""
     return np.asarray(_past_mean(np.ascontiguousarray(y), float(np.exp(-1 / reach))))
