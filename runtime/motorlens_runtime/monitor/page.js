@@ -98,7 +98,7 @@ function tell(live) {
   const latest = live.latest;
   if (latest) {
     const words = latest.reasons.map(reason => about.reasons[reason] || reason).join("; ");
-    const silent = latest.age_s > 3 ? `Nothing has come for ${duration(latest.age_s)}` : "";
+    const silent = latest.age_s > 3 ? `Nothing has come for ${duration(Math.round(latest.age_s))}` : "";
     const status = {good: "Good", uncertain: "Uncertain", bad: "Bad"}[latest.status] + (words ? `: ${words}` : "");
     state(silent ? "gone" : latest.status, silent || status);
     cards.forEach(({output, card, value, spread, also}, k) => {

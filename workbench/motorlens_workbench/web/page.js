@@ -33,13 +33,16 @@ async function start() {
   await choose(last && (last.written || last.motor), last);
   const wanted = TABS.indexOf(location.hash.slice(1));
   open_(TABS[Math.max(wanted, 0)]);
-  for (;;) {
+  for (let answered = true;;) {
     try {
       await follow();
+      if (!answered) problem("");
+      answered = true;
     } catch (error) {
+      answered = false;
       problem("The workbench does not answer any more; start it again.");
     }
-    await new Promise(done => setTimeout(done, LOOK_MS));
+    await new Promise(done => setTimeout(done, document.hidden ? 5 * LOOK_MS : LOOK_MS));
   }
 }
 
