@@ -37,7 +37,13 @@ async function start() {
   for (;;) {
     try {
       if (!about) await introduce();
-      take(await ask(`/live?window=${windowS}&level=${shown.level}&after=${shown.after}`));
+      let live;
+      do {
+        live = await ask(`/live?window=${windowS}&level=${shown.level}&after=${shown.after}`);
+        take(live);
+      } while (live.more);
+      tell(live);
+      if (!held) draw();
     } catch (error) {
       gone(error.message);
     }
@@ -86,8 +92,6 @@ function take(live) {
   while (old < shown.time.length && shown.time[old] < newest - windowS) old++;
   if (old) for (const row of [shown.time, shown.doubt, ...shown.values, ...shown.sigma]) row.splice(0, old);
   if (live.counts.device) $("about").textContent = `motorlens monitor: ${about.sensor} ${about.version} on ${live.counts.device}`;
-  tell(live);
-  if (!held) draw();
 }
 
 function append(row, more) {
