@@ -5,7 +5,9 @@ the best and its rivals; again from there, up to three effects; then the questio
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
+from motorlens_physics.simulation import cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, Curve, candidates, curves
 from motorlens_workbench.evidence import Evidence, curve_gain, score, statistics
@@ -24,9 +27,10 @@ from motorlens_workbench.screen import (
     Columns,
     Line,
     all_columns,
-    columns_of,
+    base_columns,
     evidence_of,
     unexplained,
+    with_candidates,
     with_priors,
 )
 from motorlens_workbench.selection import (
@@ -105,6 +109,27 @@ class Look:
     def samples(self) -> float:
         """How many whitened samples there are."""
         return float(self.evidence.samples.sum()) * len(self.found.residuals[0][0])
+
+    @cached_property
+    def disturbed(self) -> list[list[tuple[Columns, Line]]]:
+        """Some draws of the runs with disturbed inputs: base columns and lines, the residual what that alone feigns."""
+        runs = [line.run for line in self.lines]
+        if not any(run.disturbed for run in runs):
+            return []
+        found, scales = self.found, self.found.prior.sd
+        truth = [run.average(predict(found.model, run, r)[1]) for r, run in enumerate(runs)]
+
+        def one(draw: int) -> list[tuple[Columns, Line]]:
+            rng, drawn = np.random.default_rng(draw), []
+            for r, other in enumerate([run.stirred(rng) for run in runs]):
+                columns, line = base_columns(found.model, other, r, found.prior.keys, scales)
+                feigned = truth[r] - (other.average(other.measured) - columns.residual)
+                drawn.append((replace(columns, residual=feigned), line))
+            return drawn
+
+        # The compiled simulation runs without the interpreter's lock.
+        with ThreadPoolExecutor(cores()) as pool:
+            return list(pool.map(one, range(DRAWS)))
 
 
 @dataclass(frozen=True)
@@ -252,9 +277,9 @@ def _error_of(found: Fit, run: Run, way: Run, held: bool, r: int) -> float:
     return squares([residual], [run], [found.whiteners[r]])
 
 
-def decoy_of(left: Evidence) -> float:
-    """The best statistic that a decoy reaches."""
-    found = dict(zip(left.names, statistics(left).tolist(), strict=False))
+def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:
+    """The best statistic that a decoy reaches beside some columns."""
+    found = dict(zip(left.names, statistics(left, given).tolist(), strict=False))
     return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)
 
 
@@ -272,41 +297,31 @@ def _believable(bend: Bend, rated: Rated) -> bool:
 def threshold(now: Look, test: Test) -> float:
     """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
     labels = test.candidate.columns()[test.variant]
-    return max(REAL, 2.0 * decoy_of(now.left.given(labels)))
+    return max(REAL, 2.0 * decoy_of(now.left, labels))
 
 
-def stirred(
-    now: Look, runs: Sequence[Run], listed: Sequence[Candidate], free: Sequence[Curve], draw: int
-) -> Evidence | None:
-    """What the errors of the measured inputs alone would leave to candidates and curves; None if they were not smoothed.
+def stirred(now: Look, listed: Sequence[Candidate], free: Sequence[Curve]) -> list[Evidence]:
+    """What the errors of the measured inputs alone would leave to candidates and curves, some draws of it.
 
     Those errors drive the simulation but not the motor, and are in residual and columns alike (errors in variables). The
-    present model is taken for the truth, its inputs are disturbed as much again, and the test is repeated.
+    present model is taken for the truth, its inputs are disturbed as much again, and the test is repeated. Nothing is
+    drawn if no input was smoothed.
     """
-    if not any(run.disturbed for run in runs):
-        return None
-    found, rng = now.found, np.random.default_rng(draw)
-    moved = [run.stirred(rng) for run in runs]
-    columns = []
-    for r, (run, other) in enumerate(zip(runs, moved, strict=True)):
-        truth = run.average(predict(found.model, run, r)[1])
-        one, _ = columns_of(
-            found.model, other, r, found.prior.keys, dict(found.prior.sd), listed, free, False
-        )
-        columns.append(replace(one, residual=truth - (other.average(other.measured) - one.residual)))
-    evidence = evidence_of(columns, moved, found.whiteners).with_prior(
-        {}, {key: 1.0 for key in found.prior.keys}
-    )
-    return evidence.given(found.prior.keys)
+    keys = now.found.prior.keys
+
+    def one(draw: Sequence[tuple[Columns, Line]]) -> Evidence:
+        columns = [with_candidates(base, line, listed, free, False) for base, line in draw]
+        evidence = evidence_of(columns, [line.run for _, line in draw], now.found.whiteners)
+        return evidence.with_prior({}, {key: 1.0 for key in keys}).given(keys)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(one, now.disturbed))
 
 
-def spurious(now: Look, runs: Sequence[Run], listed: Sequence[Test]) -> dict[str, float]:
+def spurious(now: Look, listed: Sequence[Test]) -> dict[str, float]:
     """The statistic that the errors of the measured inputs alone would give each candidate."""
     found: dict[str, float] = {}
-    for draw in range(DRAWS):
-        left = stirred(now, runs, [test.candidate for test in listed], (), draw)
-        if left is None:
-            return {}
+    for left in stirred(now, [test.candidate for test in listed], ()):
         for test in listed:
             tested = score(left, test.candidate.columns()[test.variant])
             # In the unit of the real test: what the bias squared is worth against the real scatter.
@@ -329,7 +344,7 @@ def sober(now: Look, runs: Sequence[Run]) -> Look:
         return replace(now, bends=[])
     standing = sorted(now.tests.values(), key=lambda test: -test.statistic)[:6]
     standing = [test for test in standing if test.statistic > REAL]
-    false_names = [name for name, value in spurious(now, runs, standing).items() if value > REAL / 4]
+    false_names = [name for name, value in spurious(now, standing).items() if value > REAL / 4]
     if false_names:
         # What errors of the inputs feign is no shape of a missing term either.
         labels = [
@@ -340,10 +355,7 @@ def sober(now: Look, runs: Sequence[Run]) -> Look:
             for bend in bends_of(now.left.given(labels), [b.curve for b in real])
         }
         real = [bend for bend in (again.get(b.curve.columns()[0]) for b in real) if bend and bend.best > REAL]
-    for draw in range(DRAWS if real else 0):
-        left = stirred(now, runs, (), [bend.curve for bend in real], draw)
-        if left is None:
-            break
+    for left in stirred(now, (), [bend.curve for bend in real]) if real else ():
         false = {bend.curve.columns()[0]: bend for bend in bends_of(left, [bend.curve for bend in real])}
         kept = []
         for bend in real:
@@ -363,7 +375,7 @@ def advance(
     for _ in range(3):
         standing = [t for t in tests.values() if t.statistic > REAL and t.gain > WORTH * now.samples]
         standing.sort(key=lambda test: -test.statistic)
-        false = spurious(now, runs, standing[:8]) if standing else {}
+        false = spurious(now, standing[:8]) if standing else {}
         # A bias adds to the size: it must be small beside it.
         standing = [
             test
