@@ -37,11 +37,12 @@ async function start() {
   for (;;) {
     try {
       if (!about) await introduce();
-      let live;
+      let live, asked;
       do {
-        live = await ask(`/live?window=${windowS}&level=${shown.level}&after=${shown.after}`);
-        take(live);
-      } while (live.more);
+        asked = windowS;
+        live = await ask(`/live?window=${asked}&level=${shown.level}&after=${shown.after}`);
+        if (asked === windowS) take(live); // else it answers a question that nobody asks any more
+      } while (live.more || asked !== windowS);
       tell(live);
       if (!held) draw();
     } catch (error) {
