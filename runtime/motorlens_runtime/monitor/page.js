@@ -189,7 +189,7 @@ function draw() {
     const px = t => plot.left + (t - begin) / windowS * (plot.right - plot.left);
     const py = v => plot.bottom - (v - low) / (high - low) * (plot.bottom - plot.top);
     pen.textBaseline = "middle";
-    for (const tick of ticks(low, high, 4)) {
+    for (const tick of ticks(low, high, 5)) {
       pen.fillStyle = colour("faint");
       pen.fillRect(plot.left, Math.round(py(tick)), plot.right - plot.left, 1);
       pen.fillStyle = colour("faded");
@@ -258,14 +258,14 @@ function point(pen, x, plot, time, y, s, px, py, end, output, colour) {
 
 function ticks(low, high, about_) {
   const raw = (high - low) / about_, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map(m => m * power).find(m => m >= raw);
+  const step = [1, 2, 2.5, 5, 10].map(m => m * power).find(m => m >= raw);
   const found = [];
   for (let v = Math.ceil(low / step) * step; v <= high; v += step) found.push(v);
   return found;
 }
 
 function tickText(value, span) {
-  const digits = Math.max(0, Math.min(6, 1 - Math.floor(Math.log10(span / 4))));
+  const digits = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(span / 4))));
   return Number(value.toFixed(digits)).toLocaleString("en", {maximumFractionDigits: digits});
 }
 

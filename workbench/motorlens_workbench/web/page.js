@@ -220,7 +220,7 @@ function show(name, kinds, drawing) {
     open_("add");
     $("effect").focus();
   });
-  report(good, parent);
+  report(good, parent, Boolean(results.get(good.number).unknown_shape));
 }
 
 function head(step, parent) {
@@ -242,7 +242,7 @@ function showAgain(last) {
   report(last, parent);
 }
 
-function report(step, parent) {
+function report(step, parent, opened) {
   const box_ = make("details", null, parent), path = `/results/${step.number}.html`;
   make("summary", "Full report, with pictures to zoom into", box_);
   const link = make("a", "Open it in a tab of its own", make("p", null, box_, "note"));
@@ -256,6 +256,7 @@ function report(step, parent) {
       frame.src = path;
     }
   };
+  box_.open = Boolean(opened);
 }
 
 function showSteps() {
