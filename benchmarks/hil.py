@@ -132,6 +132,9 @@ class Probe:
     def put(self, estimates: Estimates) -> None:
         self.parts.append((time.monotonic_ns(), estimates))
 
+    def put_counts(self, counts: dict[str, object]) -> None:
+        pass
+
 
 def loop(sensor_path: str, rate: int, n: int, seconds: float, realtime: bool) -> list[tuple[str, bool]]:
     """One loopback; prints its figures and returns its gates."""
