@@ -221,6 +221,8 @@ def test_the_shelf_holds_the_folder_and_what_was_named_and_no_more(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     for name in (
         "in/a.csv",
+        "in/a.csv.gz",
+        "in/x.gz",
         "in/deep/b.parquet",
         "in/.hidden/c.csv",
         "in/notes.txt",
@@ -235,7 +237,7 @@ def test_the_shelf_holds_the_folder_and_what_was_named_and_no_more(tmp_path, mon
     Path("in/link.csv").symlink_to(tmp_path / "out/d.csv")
     Path("in/folder").symlink_to(tmp_path / "out")
     shelf = Shelf(("out/e.csv",), "in")
-    assert shelf.recordings() == ["in/a.csv", "in/deep/b.parquet", "out/e.csv"]
+    assert shelf.recordings() == ["in/a.csv", "in/a.csv.gz", "in/deep/b.parquet", "out/e.csv"]
     assert [entry.name for entry in shelf.motors()] == ["in/motor.toml"]
     assert shelf.new_motor("new.toml") == "in/new.toml"
     with pytest.raises(DataError, match=r"link\.csv: is none of the recordings"):
@@ -283,7 +285,7 @@ def test_a_command_is_complete(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [(["nowhere.csv"], "nowhere.csv: there is no such file"),
-     (["notes.txt"], "notes.txt: recordings end in .csv or .parquet"),
+     (["notes.txt"], "notes.txt: recordings end in .csv, .csv.gz, .parquet"),
      (["--folder", "nowhere"], "--folder nowhere: there is no such folder"),
      (["--motor", "notes.txt"], "notes.txt: is none of the motor files here")],
 )  # fmt: skip

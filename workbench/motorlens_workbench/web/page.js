@@ -18,7 +18,7 @@ async function start() {
     };
   });
   addEventListener("keydown", event => {
-    const typing = event.target.matches("input[type=text], select");
+    const typing = event.target.matches("input[type=text], textarea, select");
     if (!typing && !event.ctrlKey && !event.metaKey && !event.altKey && TABS[Number(event.key) - 1]) open_(TABS[Number(event.key) - 1], true);
   });
   for (const button of document.querySelectorAll("button.run:not([type=submit])")) button.onclick = () => take({kind: button.dataset.kind});
