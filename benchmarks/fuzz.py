@@ -3,7 +3,7 @@
 Inputs are grown from a few sound messages by mutation; one that reaches a line of code no input reached before joins those
 that are mutated (the principle of AFL). Checked of each: no exception, time that never runs backwards, a bounded memory.
 
-    python benchmarks/fuzz.py [--quick] [--inputs N] [--seed N]
+    python benchmarks/fuzz.py [--quick] [--inputs N] [--seed N] [--only SUBJECT]
 """
 
 import argparse
@@ -159,14 +159,17 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="20 000 inputs instead of a million")
     parser.add_argument("--inputs", type=int)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", help="one subject, with its share of the inputs")
     arguments = parser.parse_args()
     total = arguments.inputs or (20_000 if arguments.quick else 1_000_000)
     rng = np.random.default_rng(arguments.seed)
-    failures = 0
+    failures = done = 0
     with tempfile.TemporaryDirectory() as folder:
         found = subjects(Path(folder))
         print(f"{'subject':22} {'inputs':>9} {'a second':>9} {'corpus':>7} {'lines':>6}")
         for name, (make, corpus) in found.items():
+            if arguments.only not in (None, name):
+                continue
             inputs = total // len(found)
             coverage, started = Coverage(), time.perf_counter()
             corpus = list(corpus)
@@ -192,8 +195,9 @@ def main() -> int:
                 if len(coverage.lines) > before and len(corpus) < 2000:
                     corpus.append(data)
             rate = inputs / (time.perf_counter() - started)
-            print(f"{name:22} {inputs:9d} {rate:9.0f} {len(corpus):7d} {len(coverage.lines):6d}")
-    print(f"{failures} of {total} inputs led to an exception, a step back in time or a growing memory")
+            done += inputs
+            print(f"{name:22} {inputs:9d} {rate:9.0f} {len(corpus):7d} {len(coverage.lines):6d}", flush=True)
+    print(f"{failures} of {done} inputs led to an exception, a step back in time or a growing memory")
     return 1 if failures else 0
 
 

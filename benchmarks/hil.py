@@ -1,6 +1,6 @@
 """Hardware in the loop, with the hardware on a pseudo-terminal: counts and bits are gates, latencies are reported.
 
-    python benchmarks/hil.py [--quick] [--sensor S.onnx] [--realtime]
+    python benchmarks/hil.py [--quick] [--sensor S.onnx] [--realtime] [--only loops|faults|day]
 
 1. Loopback at 1, 10 and 20 kHz, 60 s each: no sample lost, none invented, live equals replay bit for bit.
 2. Faults in 10^7 frames: nothing wrong accepted, every undamaged frame received, bounded memory.
@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 import tty
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from motorlens_runtime.framing import MAX_BODY, Channel, Decoder, Hello, hello_f
 from motorlens_runtime.gate import Samples
 from motorlens_runtime.outlet import Grid, OutletReport
 from motorlens_runtime.quality import Quality
+from motorlens_runtime.realtime import PRIORITY, realtime
 from motorlens_runtime.sensor import load_sensor
 from motorlens_runtime.service import Service, Settings
 
@@ -46,17 +48,27 @@ def main() -> int:
     )
     parser.add_argument("--quick", action="store_true", help="5 s a loop, 10^5 frames, one simulated hour")
     parser.add_argument("--sensor", default=str(ROOT / "models" / "sensors" / "mellah2016.onnx"))
-    parser.add_argument("--realtime", action="store_true", help="ask for real-time priority in the loops")
+    parser.add_argument(
+        "--realtime", action="store_true", help="the loops with the profile of run --realtime"
+    )
+    parser.add_argument("--only", choices=("loops", "faults", "day"), help="one part of it")
     parser.add_argument("--device", nargs=4, type=str, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.device:
         rate, n, seconds, stamps = arguments.device
+        if arguments.realtime:
+            # It stands for hardware, which keeps its own time.
+            with suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY + 10))
         return device(int(rate), int(n), float(seconds), stamps)
     gates = []
-    for rate, n in LOOPS:
-        gates += loop(arguments.sensor, rate, n, 5.0 if arguments.quick else 60.0, arguments.realtime)
-    gates += injected(10**5 if arguments.quick else 10**7)
-    gates += simulated_day(arguments.sensor, 1 if arguments.quick else 24)
+    if arguments.only in (None, "loops"):
+        for rate, n in LOOPS:
+            gates += loop(arguments.sensor, rate, n, 5.0 if arguments.quick else 60.0, arguments.realtime)
+    if arguments.only in (None, "faults"):
+        gates += injected(10**5 if arguments.quick else 10**7)
+    if arguments.only in (None, "day"):
+        gates += simulated_day(arguments.sensor, 1 if arguments.quick else 24)
     failed = [name for name, passed in gates if not passed]
     print(
         f"{len(gates) - len(failed)} of {len(gates)} gates passed"
@@ -132,8 +144,11 @@ class Probe:
     def put(self, estimates: Estimates) -> None:
         self.parts.append((time.monotonic_ns(), estimates))
 
+    def put_counts(self, counts: dict[str, object]) -> None:
+        pass
 
-def loop(sensor_path: str, rate: int, n: int, seconds: float, realtime: bool) -> list[tuple[str, bool]]:
+
+def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> list[tuple[str, bool]]:
     """One loopback; prints its figures and returns its gates."""
     sensor = load_sensor(sensor_path)
     with tempfile.TemporaryDirectory() as folder:
@@ -146,6 +161,7 @@ def loop(sensor_path: str, rate: int, n: int, seconds: float, realtime: bool) ->
             str(n),
             str(seconds),
             stamps,
+            *(["--realtime"] if profile else []),
         ]
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None and process.stdin is not None
@@ -153,17 +169,17 @@ def loop(sensor_path: str, rate: int, n: int, seconds: float, realtime: bool) ->
         probe = Probe()
         feed = open_feed(f"pty://{port}?dialect=frames", {}, None, 0.0, time.monotonic_ns)
         service = Service(feed, sensor, [probe], None, Settings(1000.0), time.monotonic_ns)  # type: ignore[list-item]
-        said = priority() if realtime else "ordinary priority"
         gc.collect()
         gc.freeze()
-        gc.disable()
-        cpu, started = time.process_time(), time.monotonic()
-        deadline, last = started + seconds + 20, (int(seconds * rate) - 1) * 10**9 // rate
-        service.run(lambda: (bool(probe.parts) and done(probe, last)) or time.monotonic() > deadline)
-        cpu = (time.process_time() - cpu) / (time.monotonic() - started)
-        gc.enable()
-        if realtime:
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        said = "ordinary priority"
+        with ExitStack() as stack:
+            if profile:
+                answer = stack.enter_context(realtime())
+                said = ", ".join((*answer.granted, *answer.refused))
+            cpu, started = time.process_time(), time.monotonic()
+            deadline, last = started + seconds + 20, (int(seconds * rate) - 1) * 10**9 // rate
+            service.run(lambda: (bool(probe.parts) and done(probe, last)) or time.monotonic() > deadline)
+            cpu = (time.process_time() - cpu) / (time.monotonic() - started)
         report = service.report()
         feed.close()
         process.stdin.close()
@@ -211,15 +227,6 @@ def joined(parts: list[Estimates]) -> Estimates:
     return Estimates(
         *(np.concatenate([getattr(part, f) for part in parts]) for f in Estimates.__dataclass_fields__)
     )
-
-
-def priority() -> str:
-    """Ask for real-time priority and say what came of it."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
-        return "real-time priority 40"
-    except OSError as error:
-        return f"real-time priority refused ({error.strerror})"
 
 
 def injected(total: int) -> list[tuple[str, bool]]:

@@ -74,7 +74,8 @@ class OrtBackend:
 class NumpyBackend:
     """The folded graph in numpy, in float64.
 
-    Not for several threads at once: the work is done in memory that is kept.
+    Not for several threads at once: the work is done in memory that is kept. A column that is not finite makes what is
+    computed after it not finite, whether it depends on that column or not.
 
     Raises:
         ModelError: the graph has an operation that `folded` does not know.
@@ -99,6 +100,9 @@ class NumpyBackend:
         first, second = zip(*parts, strict=True)
         return np.concatenate(first), np.concatenate(second)
 
+    @np.errstate(
+        over="ignore", invalid="ignore", divide="ignore"
+    )  # what is not finite is flagged by the estimator
     def _run(self, features: Array) -> tuple[Array, Array]:
         space = self._spaces.get(len(features))
         if space is None:

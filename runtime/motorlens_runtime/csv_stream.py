@@ -1,14 +1,15 @@
 """Recorded samples from a CSV file of any length, block by block in constant memory.
 
-A block whose cells are all numbers is parsed in one call; anything else is parsed cell by cell, which is slower and says
-exactly which cell is at fault. Empty cells and NaN are passed on: the gate leaves them out and flags them.
+A block whose cells are all numbers is parsed in one call, of a large file by pyarrow where that is installed; anything else
+is parsed cell by cell, which is slower and says exactly which cell is at fault. Empty cells and NaN are passed on: the gate
+leaves them out and flags them.
 """
 
 import csv
 import gzip
 import io
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -24,6 +25,8 @@ from motorlens_runtime.gate import Samples
 Array = NDArray[np.float64]
 
 _BLOCK_BYTES = 1 << 18
+# From this size on, a library that reads faster is worth the time it takes to load.
+_LARGE_BYTES = 1 << 22
 _MAX_LINE_BYTES = 1 << 20
 _MAX_TIME_S = 9e9  # int64 nanoseconds end there
 
@@ -54,6 +57,7 @@ class CsvStream:
         self._ambient_C = ambient_C
         self._file, self._raw = _open(path)
         self.size = Path(path).stat().st_size
+        self._large = self.size > _LARGE_BYTES
         try:
             self._read_heading(mapping)
         except DataError:
@@ -76,6 +80,13 @@ class CsvStream:
         require(self.columns, ("time", "voltage", "current"), self.headings, self.name)
         # Written by the live recorder: what the line knew of each sample.
         self._flags_at = self.headings.index("link_flags") if "link_flags" in self.headings else None
+        self._used = {
+            column.index: column.heading
+            for quantity, column in self.columns.items()
+            if quantity in ("time", "voltage", "current", "ambient")
+        }
+        if self._flags_at is not None:
+            self._used[self._flags_at] = "link_flags"
 
     def __iter__(self) -> Iterator[Block]:
         """All blocks, in order. Raises DataError where a cell is no number or time runs backwards."""
@@ -108,7 +119,9 @@ class CsvStream:
     def _block(self, text: bytes) -> Iterator[Block]:
         if b"\r" in text:
             text = text.replace(b"\r\n", b"\n")
-        table = _fast(text, len(self.headings), self._separator)
+        table = _by_arrow(text, len(self.headings), self._used, self._separator) if self._large else None
+        if table is None:
+            table = _fast(text, len(self.headings), self._separator)
         rows = None
         if table is None:
             table, rows = self._careful(text)
@@ -163,14 +176,7 @@ class CsvStream:
 
     def _careful(self, text: bytes) -> tuple[Array, NDArray[np.int64]]:
         """Cell by cell; only the columns that are used."""
-        names = {
-            c.index: c.heading
-            for q, c in self.columns.items()
-            if q in ("time", "voltage", "current", "ambient")
-        }
-        if self._flags_at is not None:
-            names[self._flags_at] = "link_flags"
-        used = sorted(names)
+        names, used = self._used, sorted(self._used)
         values, rows = [], []
         for row, line in enumerate(text.split(b"\n")[:-1], start=self._row):
             if not line.strip():
@@ -235,6 +241,35 @@ def _cells(line: bytes, separator: bytes) -> list[str]:
     if '"' in text:
         return next(csv.reader([text], delimiter=separator.decode()))
     return [cell.strip() for cell in text.split(separator.decode())]
+
+
+def _by_arrow(text: bytes, columns: int, used: Iterable[int], separator: bytes) -> Array | None:
+    """The used columns (the others are NaN) read by pyarrow, where it is installed and every cell is a number; else None."""
+    try:
+        import pyarrow as pa
+        from pyarrow import csv as arrow_csv
+    except ModuleNotFoundError:
+        return None
+    names = [str(column) for column in used]
+    try:
+        found = arrow_csv.read_csv(
+            pa.BufferReader(text),
+            read_options=arrow_csv.ReadOptions(
+                use_threads=False, block_size=len(text) + 1, column_names=[str(k) for k in range(columns)]
+            ),
+            parse_options=arrow_csv.ParseOptions(delimiter=separator.decode(), quote_char=False),
+            convert_options=arrow_csv.ConvertOptions(
+                include_columns=names, column_types=dict.fromkeys(names, pa.float64()), null_values=[]
+            ),
+        )
+    except pa.ArrowInvalid:
+        return None
+    if len(found) != text.count(b"\n"):
+        return None
+    table = np.full((columns, len(found)), np.nan)
+    for name in names:
+        table[int(name)] = found[name].to_numpy()
+    return table.T
 
 
 def _fast(text: bytes, columns: int, separator: bytes) -> Array | None:

@@ -13,11 +13,15 @@ from motorlens_runtime.columns import parse_mapping
 from motorlens_runtime.csv_stream import CsvStream, period_of
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimator import Estimator
+from motorlens_runtime.pipeline import Behind, ahead
 from motorlens_runtime.progress import Progress
 from motorlens_runtime.publish import Header, Publisher
 from motorlens_runtime.publish.csv import CsvPublisher
 from motorlens_runtime.quality import Quality
 from motorlens_runtime.sensor import Sensor, load_sensor
+
+# A smaller file is done before threads would have helped.
+_SMALL_BYTES = 1 << 21
 
 
 def infer(
@@ -50,13 +54,15 @@ def infer(
     sensor = load_sensor(sensor_path, backend)
     stream = CsvStream(recording, parse_mapping(column_arguments), ambient_C)
     try:
-        blocks = iter(stream)
+        blocks = ahead(stream) if stream.size > _SMALL_BYTES else iter(stream)
         first = next(blocks, None)
         if first is None:
             raise DataError(f"{recording}: has a heading but no rows")
         period_s = period_of(first.samples, 1 / sensor.specification.rate_Hz)
         estimator = Estimator(sensor, period_s)
         publisher = _publisher(sensor, output, parquet)
+        if stream.size > _SMALL_BYTES:
+            publisher = Behind(publisher)
         rows, reasons = 0, Counter[str]()
         first_missing: int | None = None
         try:

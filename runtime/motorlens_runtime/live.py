@@ -18,6 +18,7 @@ from motorlens_runtime.infer import header_of
 from motorlens_runtime.memory import Memory
 from motorlens_runtime.notify import Notifier
 from motorlens_runtime.outlet import Outlet
+from motorlens_runtime.realtime import Granted, collecting, realtime
 from motorlens_runtime.recorder import Recorder
 from motorlens_runtime.sensor import load_sensor
 from motorlens_runtime.service import Service, Settings
@@ -75,9 +76,15 @@ def run_live(arguments: argparse.Namespace) -> int:
         gc.collect()
         gc.freeze()
         cpu_s, started_ns = time.process_time(), clock()
+        profile: Granted | None = None
         try:
             with stopping() as stop:
-                service.run(Notifier().while_running(stop, clock))
+                stop = Notifier().while_running(stop, clock)
+                if arguments.realtime:
+                    with realtime() as profile:
+                        service.run(collecting(stop, clock))
+                else:
+                    service.run(stop)
         finally:
             seconds = (clock() - started_ns) * 1e-9
             cpu_s = time.process_time() - cpu_s
@@ -86,6 +93,8 @@ def run_live(arguments: argparse.Namespace) -> int:
             stack.close()
             gc.unfreeze()
             report = {**service.report(), "seconds": seconds, "cpu_share": cpu_s / max(seconds, 1e-9)}
+            if profile is not None:
+                report["realtime"] = {"granted": profile.granted, "refused": profile.refused}
             if recorder is not None:
                 report["record"] = {"lost": recorder.lost, "error": recorder.error}
             _say(report, arguments.command)
@@ -132,6 +141,8 @@ def _say(report: dict[str, Any], command: str) -> None:
             f"{latency['p50']:.0f} us (median), {latency['p99']:.0f} us (99 %); "
             f"{100 * report['cpu_share']:.1f} % of a processor core"
         )
+    profile = report.get("realtime", {})
+    lines += [", ".join(profile[key]) for key in ("granted", "refused") if profile.get(key)]
     if "complaint" in feed:
         lines.append(feed["complaint"])
     for outlet in report["outlets"]:

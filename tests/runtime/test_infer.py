@@ -177,8 +177,34 @@ def test_damaged_gzip(here, capsys):
     assert "damaged or cut short" in capsys.readouterr().err
 
 
+def test_a_large_file_gives_the_bits_of_its_pieces(here):
+    """Read ahead by pyarrow where that is installed, written behind: the text is that of the plain way."""
+    rng = np.random.default_rng(0)
+    voltage, current = 100 + rng.normal(size=250_000), 8 + rng.normal(size=250_000)
+    rows = [
+        f"{k / 1000},{v},{i}\n"
+        for k, (v, i) in enumerate(zip(voltage.tolist(), current.tolist(), strict=True))
+    ]
+    heading = "time_s,voltage_V,current_A\n"
+    (here / "large.csv").write_text(heading + "".join(rows))
+    (here / "small.csv").write_text(heading + "".join(rows[:20_000]))
+    assert (here / "large.csv").stat().st_size > 4 << 20 > (here / "small.csv").stat().st_size
+    assert infer("large.csv") == 0
+    large = (here / "out.csv").read_bytes()
+    assert infer("small.csv") == 0
+    assert large.startswith((here / "out.csv").read_bytes()) and large.count(b"\n") == 250_001
+
+
+def test_what_is_wrong_far_into_a_large_file_is_said(here, capsys):
+    rows = [f"{k / 1000},100.123456789012,8.123456789012\n" for k in range(200_000)]
+    rows[150_000] = "150.0,oops,8\n"
+    (here / "large.csv").write_text("time_s,voltage_V,current_A\n" + "".join(rows))
+    assert infer("large.csv") == 1
+    assert "row 150002, column 'voltage_V': 'oops' is not a number" in capsys.readouterr().err
+
+
 def test_memory_does_not_grow_with_the_file(here):
-    """Peak memory of a fresh process on a file and on one eight times as long."""
+    """Peak memory of a fresh process on a file and on one three times as long, both read ahead."""
     body = (here / "b.txt").with_suffix(".txt")
     # ru_maxrss is inherited from the parent; VmHWM is this program's own
     script = (
@@ -186,10 +212,11 @@ def test_memory_does_not_grow_with_the_file(here):
         "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0]); sys.exit(status)"
     )
     peaks = []
-    for n in (40_000, 320_000):
+    for n in (300_000, 900_000):
         body.write_text(
             "time_s,voltage_V,current_A\n" + "".join(f"{k / 1000},100.5,8.25\n" for k in range(n))
         )
+        assert body.stat().st_size > 4 << 20
         command = [sys.executable, "-c", script, "infer", str(body), "--sensor", "s.onnx", "-o", "out.csv"]
         peaks.append(int(subprocess.run(command, capture_output=True, check=True).stdout))
     assert peaks[1] < 1.1 * peaks[0]

@@ -1,6 +1,7 @@
 """The server of the pages: who is answered and who is not."""
 
 import http.client
+from pathlib import Path
 
 import pytest
 
@@ -38,6 +39,14 @@ def test_the_address_that_is_printed_opens_and_its_cookie_opens_the_rest(server)
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
     assert ask(server, "/anything", Cookie=cookie.partition(";")[0])[:2] == (200, "GET /anything")
     assert "default-src 'none'" in headers["Content-Security-Policy"]
+
+
+def test_it_listens_on_loopback_alone(server):
+    table = [line.split() for line in Path("/proc/self/net/tcp").read_text().splitlines()[1:]]
+    listening = [
+        fields[1] for fields in table if fields[3] == "0A" and fields[1].endswith(f":{server.port:04X}")
+    ]
+    assert listening == [f"0100007F:{server.port:04X}"]
 
 
 @pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/page.js", "/..%2f..%2fetc/passwd"])

@@ -67,10 +67,23 @@ def key(url):
     return {"Authorization": f"Bearer {url.partition('token=')[2]}"}
 
 
-def live(page, query="window=60"):
-    status, body = ask(page, f"/live?{query}", **key(page.url))
-    assert status == 200, body
-    return json.loads(body)
+def live(page, window=60, level=-1, after=0):
+    """All that the page's script gathers, in as many answers as it takes."""
+    gathered = None
+    while True:
+        status, body = ask(page, f"/live?window={window}&level={level}&after={after}", **key(page.url))
+        assert status == 200, body
+        found = json.loads(body)
+        level, after = found["level"], found["after"]
+        assert len(found["time_s"]) <= 200
+        if gathered is not None:
+            assert found["first"] == gathered["after"]
+            found["time_s"] = gathered["time_s"] + found["time_s"]
+            for name in ("values", "sigma"):
+                found[name] = [old + new for old, new in zip(gathered[name], found[name], strict=True)]
+        gathered = found
+        if not found["more"]:
+            return found
 
 
 def eventually(condition, seconds=30.0):
@@ -171,7 +184,16 @@ def test_the_page_is_given_rows_events_and_counts(page):
     assert found["alarms"] == [ALARM] and found["events"] == [ALARM] and found["rows"] == 3
     page.event({**ALARM, "active": False})
     assert live(page)["alarms"] == [] and len(live(page)["events"]) == 2
-    assert live(page, f"window=60&level={found['level']}&after={found['after']}")["time_s"] == []
+    assert live(page, 60, found["level"], found["after"])["time_s"] == []
+
+
+def test_many_rows_come_in_several_answers(page):
+    given = rows(np.arange(4000) / 100)
+    page.publish(given)
+    found = live(page)
+    assert found["time_s"] == (given.time_ns / 1e9).tolist()
+    assert np.array_equal(np.array(found["values"]).T, given.values)
+    assert np.array_equal(np.array(found["sigma"]).T, given.sigma)
 
 
 def test_every_reason_has_words():

@@ -174,6 +174,26 @@ def test_health_is_for_supervisors(prometheus):
     assert fetch(prometheus.address, "/etc/passwd")[0] == 404
 
 
+def test_prometheus_counts_what_the_service_counts(prometheus):
+    parser = pytest.importorskip("prometheus_client.parser", reason="prometheus_client is not installed")
+    counts = {
+        "samples": 1000,
+        "lost": 7,
+        "bad_frames": 2,
+        "reconnects": 1,
+        "time_to_limit_s": {"hot": 90.5, "cold": None},
+    }
+    prometheus.counts(counts)
+    families = {
+        f.name: f for f in parser.text_string_to_metric_families(fetch(prometheus.address, "/metrics")[2])
+    }
+    for name, value in (("samples", 1000), ("lost_samples", 7), ("bad_frames", 2), ("reconnects", 1)):
+        family = families[f"motorlens_{name}"]
+        assert family.type == "counter" and family.samples[0].value == value
+    left = {s.labels["alarm"]: s.value for s in families["motorlens_time_to_limit_seconds"].samples}
+    assert left == {"hot": 90.5, "cold": math.inf}
+
+
 def test_health_says_stale_when_rows_stop():
     from motorlens_runtime.publish.prometheus import PrometheusPublisher
 

@@ -92,7 +92,7 @@ def test_validation_stops_and_the_best_weights_are_kept() -> None:
     """With a twentieth of the noise's worth of regularisation taken away, the validation error has a minimum."""
     data, unseen = task(60, noise=0.6), task(500, seed=8, noise=0.6)
     settings = replace(SMALL, patience=5)
-    trained = train(data, Architecture(4, (12, 8), 2), 2, settings, validation=unseen)
+    trained = train(data, Architecture(4, (12, 8), 2), 1, settings, validation=unseen)
     means = [np.mean(np.square(record.validation or [np.inf])) for record in trained.history]
     reached = (trained.targets.scale(trained.predict(torch.from_numpy(unseen.x))) - trained.targets.scale(
         torch.from_numpy(unseen.y))).square().mean(0)  # fmt: skip

@@ -3,8 +3,13 @@
 import http.client
 import json
 import os
+import re
 import shlex
+import signal
+import subprocess
+import sys
 import time
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -216,6 +221,8 @@ def test_the_shelf_holds_the_folder_and_what_was_named_and_no_more(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     for name in (
         "in/a.csv",
+        "in/a.csv.gz",
+        "in/x.gz",
         "in/deep/b.parquet",
         "in/.hidden/c.csv",
         "in/notes.txt",
@@ -230,11 +237,35 @@ def test_the_shelf_holds_the_folder_and_what_was_named_and_no_more(tmp_path, mon
     Path("in/link.csv").symlink_to(tmp_path / "out/d.csv")
     Path("in/folder").symlink_to(tmp_path / "out")
     shelf = Shelf(("out/e.csv",), "in")
-    assert shelf.recordings() == ["in/a.csv", "in/deep/b.parquet", "out/e.csv"]
+    assert shelf.recordings() == ["in/a.csv", "in/a.csv.gz", "in/deep/b.parquet", "out/e.csv"]
     assert [entry.name for entry in shelf.motors()] == ["in/motor.toml"]
     assert shelf.new_motor("new.toml") == "in/new.toml"
     with pytest.raises(DataError, match=r"link\.csv: is none of the recordings"):
         shelf.chosen(["in/link.csv"])
+
+
+def test_the_command_serves_until_it_is_told_to_end(tmp_path):
+    (tmp_path / "motor.toml").write_text(MOTOR, encoding="utf-8")
+    command = [
+        sys.executable,
+        "-m",
+        "motorlens_runtime",
+        "workbench",
+        "--folder",
+        ".",
+        "--no-browser",
+        "--json",
+        "s.json",
+    ]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            url = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", process.stderr.readline())[0]
+            with urllib.request.urlopen(url, timeout=30) as answer:
+                assert answer.status == 200 and b"motorlens workbench" in answer.read()
+        finally:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0 and process.stderr.read() == ""
+    assert json.loads((tmp_path / "s.json").read_text()) == {"schema": "motorlens.workbench/1", "steps": []}
 
 
 def test_a_command_is_complete(tmp_path, monkeypatch):
@@ -254,7 +285,7 @@ def test_a_command_is_complete(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [(["nowhere.csv"], "nowhere.csv: there is no such file"),
-     (["notes.txt"], "notes.txt: recordings end in .csv or .parquet"),
+     (["notes.txt"], "notes.txt: recordings end in .csv, .csv.gz, .parquet"),
      (["--folder", "nowhere"], "--folder nowhere: there is no such folder"),
      (["--motor", "notes.txt"], "notes.txt: is none of the motor files here")],
 )  # fmt: skip

@@ -117,17 +117,30 @@ def evidence(network: Network, precision: Tensor, moments: OutputMoments, hyper:
     factor = cholesky(precision)
     identity = torch.eye(len(precision), dtype=torch.float64)
     variance = torch.linalg.solve_triangular(factor, identity, upper=False).square().sum(0)
+    gamma = well_determined(architecture, variance, hyper)
+    log_det = 2 * float(factor.diagonal().log().sum())
+    found = log_evidence(network, log_det, moments, hyper)
+    return Evidence(factor, gamma, found, moments.squared_error(network.output), moments.rows)
+
+
+def well_determined(architecture: Architecture, variance: Tensor, hyper: Hyperparameters) -> Tensor:
+    """gamma of each layer `[L + 1]` from the posterior variance of every weight `[P]`."""
+    sizes = _sum_groups(architecture, torch.ones_like(variance))
+    return torch.minimum((sizes - hyper.alpha * _sum_groups(architecture, variance)).clamp_min(0), sizes)
+
+
+def log_evidence(network: Network, log_det: float, moments: OutputMoments, hyper: Hyperparameters) -> float:
+    """Natural logarithm of p(targets | architecture, alpha, beta), from log det H."""
     sizes, squares = _groups(network)
-    variances = _sum_groups(architecture, variance)
-    gamma = torch.minimum((sizes - hyper.alpha * variances).clamp_min(0), sizes)
     error = moments.squared_error(network.output)
     likelihood = moments.rows / hyper.tau * torch.log(hyper.beta / (2 * torch.pi)) - hyper.precision * error
     prior = sizes * torch.log(hyper.alpha) - hyper.alpha * squares
-    log_evidence = 0.5 * (likelihood.sum() + prior.sum()) - factor.diagonal().log().sum()
-    return Evidence(factor, gamma, float(log_evidence), error, moments.rows)
+    return 0.5 * (float(likelihood.sum() + prior.sum()) - log_det)
 
 
-def update(network: Network, now: Evidence, hyper: Hyperparameters) -> Hyperparameters:
+def update(
+    network: Network, gamma: Tensor, moments: OutputMoments, hyper: Hyperparameters
+) -> Hyperparameters:
     """MacKay's re-estimation, guarded.
 
     `alpha_g = gamma_g / |w_g|^2` and `beta_k = (N - tau_k gamma_k) / SSE_k`. The hidden layers are shared by
@@ -136,10 +149,10 @@ def update(network: Network, now: Evidence, hyper: Hyperparameters) -> Hyperpara
     alpha; SSE = 0 does not let beta run away; at least a twentieth of the samples is counted as free.
     """
     _, squares = _groups(network)
-    alpha = now.gamma.clamp_min(1e-3) / squares.clamp_min(1e-12)
-    share = now.gamma.sum() / len(hyper.beta)
-    free = torch.maximum(now.rows - hyper.tau * share, torch.tensor(0.05 * now.rows))
-    beta = free / now.squared_error.clamp_min(now.rows / BETA_RANGE[1])
+    alpha = gamma.clamp_min(1e-3) / squares.clamp_min(1e-12)
+    rows, share = moments.rows, gamma.sum() / len(hyper.beta)
+    free = torch.maximum(rows - hyper.tau * share, torch.tensor(0.05 * rows))
+    beta = free / moments.squared_error(network.output).clamp_min(rows / BETA_RANGE[1])
     return replace(
         hyper, alpha=_guard(alpha, hyper.alpha, ALPHA_RANGE), beta=_guard(beta, hyper.beta, BETA_RANGE)
     )

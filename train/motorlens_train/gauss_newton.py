@@ -225,21 +225,23 @@ def _add_unit_pairs(architecture: Architecture, units: Tensor, columns: Tensor, 
 
 
 def _gather_hidden(architecture: Architecture, table: Tensor) -> Tensor:
-    matrix: Tensor = table.view(-1)[_hidden_places(architecture)]
-    return matrix
+    size = architecture.hidden_parameters
+    return table.view(-1).index_select(0, _hidden_places(architecture)).view(size, size)
 
 
 def _gather_cross(architecture: Architecture, table: Tensor) -> Tensor:
-    return table[:, architecture.unit[:, None], _cross_places(architecture)]
+    rows = table.flatten(1).index_select(1, _cross_places(architecture))
+    return rows.view(architecture.outputs, architecture.hidden_parameters, len(architecture.output_reads))
 
 
 @lru_cache(maxsize=8)
 def _hidden_places(architecture: Architecture) -> Tensor:
     unit, column = architecture.unit, architecture.column
     columns = _pairs(architecture.columns)
-    return _pair_index(unit[:, None], unit) * columns + _pair_index(column[:, None], column)
+    return (_pair_index(unit[:, None], unit) * columns + _pair_index(column[:, None], column)).view(-1)
 
 
 @lru_cache(maxsize=8)
 def _cross_places(architecture: Architecture) -> Tensor:
-    return _pair_index(architecture.column[:, None], architecture.output_reads)
+    unit, column = architecture.unit[:, None], architecture.column[:, None]
+    return (unit * _pairs(architecture.columns) + _pair_index(column, architecture.output_reads)).view(-1)

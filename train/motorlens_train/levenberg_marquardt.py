@@ -2,9 +2,9 @@
 corrected.
 
 The step solves `(S + lambda D) v = -g` with the reduced matrix `S = H_hh - sum_k H_ho (H_oo)^-1 H_oh` (variable projection,
-Kaufman's form) and `D = diag(S)` (Marquardt). Several lambda are tried from one curvature; each step is
-corrected by half its geodesic acceleration (Transtrum and Sethna 2012), limited to a share of the step. After
-a trial the output layer is solved anew, exactly.
+Kaufman's form) and `D = diag(S)` (Marquardt). Several lambda are tried from one curvature until one leads downhill; each
+step is corrected by half its geodesic acceleration (Transtrum and Sethna 2012), limited to a share of the step. After a
+trial the output layer is solved anew, exactly. The same S tells how many weights the data determine.
 """
 
 from collections.abc import Callable, Iterable
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from motorlens_train.cascade import Architecture, Network
-from motorlens_train.evidence import Hyperparameters
+from motorlens_train.evidence import Hyperparameters, well_determined
 from motorlens_train.gauss_newton import (
     Columns,
     Curvature,
@@ -26,8 +26,8 @@ from motorlens_train.gauss_newton import (
     output_moments,
 )
 
-# Damping values tried from one curvature, as multiples of the last one that worked.
-TRIALS = (0.03, 0.3, 3.0)
+# Damping values tried from one curvature until one leads downhill, as multiples of the last one that worked.
+TRIALS = (0.3, 10.0, 300.0, 1e4, 1e6)
 DAMPING_RANGE = (1e-10, 1e8)
 # The geodesic correction may be at most this share of the step it corrects.
 BEND = 0.4
@@ -78,11 +78,19 @@ def settle(
 
 @dataclass(frozen=True)
 class Step:
-    """What a step achieved: where it led, with which damping, and whether that is an improvement."""
+    """What a step achieved.
+
+    Attributes:
+        point: where it led.
+        damping: with which it was taken.
+        accepted: whether the point is an improvement.
+        reduced: the curvature it was taken from.
+    """
 
     point: Point
     damping: float
     accepted: bool
+    reduced: "Reduced"
 
 
 def step(point: Point, hyper: Hyperparameters, damping: float, batch: Batch, curving: Batch) -> Step:
@@ -96,12 +104,10 @@ def step(point: Point, hyper: Hyperparameters, damping: float, batch: Batch, cur
         curving: the data for curvature and trials, `batch` itself or a part of it.
 
     Returns:
-        The best point found; not accepted if no damping led downhill.
+        The first point found downhill; not accepted if no damping led there.
     """
     whole = curving is batch
     network, architecture = point.network, point.network.architecture
-    if architecture.hidden_parameters == 0:
-        return Step(point, damping, accepted=False)
     # A part of the data stands for all of them: its errors count for as many rows as there are.
     part = replace(hyper, beta=batch.rows / curving.rows * hyper.beta)
     sums = curvature(architecture, network.hidden, network.output, part.precision, curving.blocks())
@@ -111,47 +117,55 @@ def step(point: Point, hyper: Hyperparameters, damping: float, batch: Batch, cur
         slope = gradient(architecture, network.hidden, network.output, hyper.precision, batch.blocks())
         local = locate(architecture, network.hidden, part, curving)
     # Curvature of hidden and of output weights must come from the same rows, or their sum need not be positive definite.
-    reduced = _Reduced.of(network, sums, slope, local.moments, part)
-    for _ in range(5):
-        dampings = [min(max(factor * damping, DAMPING_RANGE[0]), DAMPING_RANGE[1]) for factor in TRIALS]
-        trials = []
-        for trial in dampings:
-            moved = reduced.solve(trial, network, part.precision, curving)
-            if moved is not None and bool(torch.isfinite(moved).all()):
-                trials.append((locate(architecture, network.hidden + moved, part, curving), trial))
-        best, chosen = min(trials, key=lambda pair: pair[0].objective, default=(local, damping))
-        if best.objective < local.objective:
-            confirmed = best if whole else locate(architecture, best.network.hidden, hyper, batch)
-            if confirmed.objective < point.objective:
-                return Step(confirmed, chosen, accepted=True)
-        damping = 30 * max(damping, 1e-6)
-        if damping > DAMPING_RANGE[1]:
-            break
-    return Step(point, min(damping, DAMPING_RANGE[1]), accepted=False)
+    reduced = Reduced.of(network, sums, slope, local.moments, part)
+    for factor in TRIALS if architecture.hidden_parameters else ():
+        trial = min(max(factor * max(damping, 1e-8), DAMPING_RANGE[0]), DAMPING_RANGE[1])
+        moved = reduced.solve(trial, network, part.precision, curving)
+        if moved is None or not bool(torch.isfinite(moved).all()):
+            continue
+        there = locate(architecture, network.hidden + moved, part, curving)
+        if there.objective >= local.objective:
+            continue
+        if not whole:
+            there = locate(architecture, there.network.hidden, hyper, batch)
+        if there.objective < point.objective:
+            return Step(there, trial, accepted=True, reduced=reduced)
+    return Step(point, damping, accepted=False, reduced=reduced)
 
 
 @dataclass(frozen=True)
-class _Reduced:
-    """The system for the hidden weights after elimination of the output layer."""
+class Reduced:
+    """The system for the hidden weights after elimination of the output layer.
+
+    Attributes:
+        matrix: S, `[P_h, P_h]`.
+        slope: gradient by the hidden weights, with the prior's, `[P_h]`.
+        inner: Cholesky factors of the output weights' own blocks, `[K, Z, Z]`.
+        followers: how the output weights follow a step of the hidden ones, `[K, Z, P_h]`.
+    """
 
     matrix: Tensor
     slope: Tensor
-    followers: Tensor  # how the output weights follow a step of the hidden ones, [K, Z, P_h]
+    inner: Tensor
+    followers: Tensor
 
     @staticmethod
     def of(
         network: Network, sums: Curvature, slope: Tensor, moments: OutputMoments, hyper: Hyperparameters
-    ) -> "_Reduced":
+    ) -> "Reduced":
+        """Eliminate the output layer; `sums` and `moments` come from the same rows."""
         architecture = network.architecture
         prior = hyper.alpha_hidden(architecture)
-        inner = hyper.precision[:, None, None] * moments.gram + torch.diag_embed(
+        own = hyper.precision[:, None, None] * moments.gram + torch.diag_embed(
             hyper.alpha_output(architecture)
         )
-        followers = torch.cholesky_solve(sums.cross.transpose(1, 2), cholesky(inner))
-        size = architecture.hidden_parameters
-        tied = sums.cross.transpose(0, 1).reshape(size, -1) @ followers.reshape(-1, size)
-        matrix = sums.hidden + torch.diag(prior) - tied
-        return _Reduced(0.5 * (matrix + matrix.T), slope + prior * network.hidden, followers)
+        inner = cholesky(own)
+        halves = torch.linalg.solve_triangular(inner, sums.cross.transpose(1, 2), upper=False)
+        tied = halves.flatten(0, 1).T @ halves.flatten(0, 1)
+        followers = torch.linalg.solve_triangular(inner.transpose(1, 2), halves, upper=True)
+        matrix = sums.hidden - tied
+        matrix.diagonal().add_(prior)
+        return Reduced(0.5 * (matrix + matrix.T), slope + prior * network.hidden, inner, followers)
 
     def solve(self, damping: float, network: Network, precision: Tensor, batch: Batch) -> Tensor | None:
         """The step `[P_h]` for one damping with its geodesic correction; None if it takes more damping."""
@@ -170,3 +184,24 @@ class _Reduced:
         correction = -0.5 * torch.cholesky_solve(bend[:, None], factor)[:, 0]
         share = float(correction.norm() / velocity.norm().clamp_min(1e-300))
         return velocity + correction * min(1.0, BEND / max(share, 1e-300))
+
+    def determined(self, network: Network, hyper: Hyperparameters) -> tuple[Tensor, float]:
+        """Well-determined parameters of each layer `[L + 1]` and log det H, as `motorlens_train.evidence` defines them.
+
+        By the block inverse: `(H^-1)_hh = S^-1` and `(H^-1)_oo = (H_oo)^-1 + F S^-1 F^T` with F the followers.
+        """
+        size = len(self.matrix)
+        factor: Tensor
+        factor, failed = torch.linalg.cholesky_ex(self.matrix)
+        if bool(failed):
+            # Rounding has pushed S below the prior, which is the least it can be.
+            values, basis = torch.linalg.eigh(self.matrix)
+            least = torch.maximum(hyper.alpha[:-1].min(), 1e-10 * values[-1])
+            factor = cholesky((basis * torch.maximum(values, least)) @ basis.T)
+        sides = torch.cat([torch.eye(size, dtype=factor.dtype), self.followers.flatten(0, 1).T], dim=1)
+        spread = torch.linalg.solve_triangular(factor, sides, upper=False).square().sum(0)
+        identity = torch.eye(self.inner.shape[1], dtype=factor.dtype).expand_as(self.inner)
+        own = torch.linalg.solve_triangular(self.inner, identity, upper=False).square().sum(1)
+        variance = torch.cat([spread[:size], own.reshape(-1) + spread[size:]])
+        log_det = 2 * (factor.diagonal().log().sum() + self.inner.diagonal(dim1=1, dim2=2).log().sum())
+        return well_determined(network.architecture, variance, hyper), float(log_det)

@@ -1,7 +1,7 @@
 """What a training command works on: cycles to train, calibrate and test on, and the recipe that suits them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,8 @@ OUTPUTS = ("speed", "temperature", "resistance")
 # Rows kept of each simulated cycle: neighbours tell nothing new.
 ROWS = 400
 LONGEST_S = 7200.0
+# What differs from motor to motor of one make.
+VARYING = ("R_a0", "ke", "J", "H", "k0", "k_ir")
 
 
 @dataclass(frozen=True)
@@ -54,14 +56,18 @@ def from_motor(
     iterations: int,
     done: Callable[[int], None] = lambda count: None,
     observed: MotorFile | None = None,
+    tolerance: float = 0.0,
 ) -> Material:
     """Simulated duty cycles of a motor: three fifths to train on, one fifth each to calibrate and to test.
 
-    With `observed`, a physics observer of that motor runs inside the sensor.
+    With `observed`, a physics observer of that motor runs inside the sensor. With a `tolerance` every cycle is of another
+    motor, whose parameters differ by up to that share from those of the file; see `relative`.
 
     Raises:
         DataError, ModelError: the motor file or an argument is at fault.
     """
+    if not 0.0 <= tolerance < 0.5:
+        raise DataError(f"--tolerance {100 * tolerance:g}: percent, at least 0 and below 50")
     if cycles < 10:
         raise DataError(f"--cycles {cycles}: at least 10, so that there are some of each kind")
     file = read_motor_file(path)
@@ -69,7 +75,7 @@ def from_motor(
     bank, starts = bank_of(file), "starts from ambient temperature"
     if observed is not None:
         settings = ObserverSettings(voltage_sd=deviations.voltage_V, current_sd=deviations.current_A)
-        bank = with_observer(bank, observed, settings)
+        bank = with_observer(bank, observed, tolerant(settings, tolerance))
         starts = "every second one started warm or switched on late"
     fifth = cycles // 5
     made = []
@@ -79,7 +85,8 @@ def from_motor(
         rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3] if observed is not None else rate_Hz
         # Nor can it know anything before the first inrush: its errors are counted from a second after that.
         settled = observed is not None and (number >= cycles or fifth <= number < 2 * fifth)
-        made.append(simulated(file, bank, deviations, rate, [seed, number], unknown, settled))
+        one = relative(file, tolerance, np.random.default_rng([seed, number, 1]))
+        made.append(simulated(one, bank, deviations, rate, [seed, number], unknown, settled))
         done(number + 1)
     usual = (12, 8) if observed is None else (6,)
     recipe = Recipe(
@@ -92,6 +99,11 @@ def from_motor(
         f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load and ambient, hot restarts, "
         f"{starts}, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
         f"{deviations.current_A:.3g} A a sample"
+        + (
+            f"; every cycle another motor, its parameters up to {100 * tolerance:g} % off"
+            if tolerance
+            else ""
+        )
         + ("; errors count from one second after the first voltage step" if observed is not None else "")
     )
     cases = {"started warm or switched on late, unknown to the sensor": tuple(made[cycles:])}
@@ -102,6 +114,24 @@ def from_motor(
         tuple(made[fifth : 2 * fifth]),
         origin,
         cases,
+    )
+
+
+def relative(file: MotorFile, tolerance: float, rng: np.random.Generator) -> MotorFile:
+    """A motor of the same make: `VARYING` parameters off by up to `tolerance`, as a share, evenly spread."""
+    if not tolerance:
+        return file
+    values = file.values()
+    return file.with_values({key: values[key] * rng.uniform(1 - tolerance, 1 + tolerance) for key in VARYING})
+
+
+def tolerant(settings: ObserverSettings, tolerance: float) -> ObserverSettings:
+    """An observer that takes ke, R_a0 and J for states, as unsure as the tolerance; the thermal ones make a walk."""
+    if not tolerance:
+        return settings
+    sd = tolerance / np.sqrt(3)
+    return replace(
+        settings, thermal_walk=0.1 * tolerance, tolerances=tuple((key, float(sd)) for key in VARYING[:3])
     )
 
 

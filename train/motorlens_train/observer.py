@@ -9,30 +9,36 @@ It holds whatever happens between the samples, it needs no current state, and L 
 that effects bring, the load torque, and parameters that differ from motor to motor. Rates and Jacobians are those of
 the motor's own equations; every state is stepped exactly in its own derivative.
 
-A load is constant until it jumps. A jump shows as innovations too large for what the filter expects, one at once or
-several in a row; the load's variance is then opened, so that between jumps the filter may be sure of it.
+A load is constant until it jumps. Two branches run side by side, one in which it stands still and one in which it changes,
+each weighed by how well it foretold the voltage (interacting multiple models; Blom and Bar-Shalom 1988,
+doi:10.1109/9.1299): a jump is believed as far as it is borne out, and between jumps the filter may be sure of the load.
 
 Three programs: `accumulate` at every sample, `correct` when a window is full, `read` when a value is asked for. The state is
 stored as its distance from the start, so that a state of zeros is a fresh observer.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.symbols import named
-from motorlens_train.observer_file import MEMORY, WINDOW, Observer
+from motorlens_train.observer_algebra import Branch, bend, congruence, dot, exponential, mixed, probability
+from motorlens_train.observer_file import BRANCHES, MEMORY, WINDOW, Observer
 from motorlens_train.observer_model import Equations, equations
 from motorlens_train.observer_program import Program, Recorder, Value, record
 from motorlens_train.specification import Bank, Feature
 
 # No observer is better than this share of the rating plate; below it, its sureness says nothing.
-FLOOR = {"speed": 1e-3, "temperature": 7e-3, "resistance": 7e-3}
+FLOOR = {"speed": 2e-4, "temperature": 2e-3, "resistance": 2e-3}
 # Samples further apart than GAP windows are a gap; a current is followed as it bends over up to BENT windows. No round
 # numbers: which side of them a step falls on must not hang on the last bit of a clock.
 GAP, BENT = 50.37, 3.37
+# What heats along with the winding: as a share of its rise, and how far from that, in rated rises.
+ALONG, APART = 0.7, 0.04
+# Odds of the branches are kept within exp(-+50).
+MOST_ODDS = 50.0
 
 
 @dataclass(frozen=True)
@@ -42,14 +48,14 @@ class ObserverSettings:
     Attributes:
         voltage_sd, current_sd: white noise of a sample, V and A; None: 0.2 % and 0.7 % of the rating plate.
         period_s: window; None: a tenth of the mechanical time constant, at most 10 ms.
-        load_walk: of the load between jumps, rated torques per square root of a second.
-        load_jump: standard deviation of a jump, rated torques.
+        load_walk: of the load while it stands still, rated torques per square root of a second.
+        load_jump: of the load while it changes, rated torques per square root of a mechanical time constant.
+        jump_every, jump_lasts: how long it stands still and how long it changes, mechanical time constants.
         thermal_walk: of the winding beyond its model, K per square root of a second.
         model_sd: what the electrical balance itself is good to, in rated voltages.
         bend_sd: what the corrections for a current that bends within a window are good to, as a share of them.
         rise_K, rise_sd_K: the winding at the start; None: three tenths of the rated rise, 1.5 times that.
-        alarm: squared normalised innovation that counts as a jump of the load.
-        rest: share of the rated speed below which the load may be anything.
+        rest: share of the rated speed below which the load is whatever the motor's torque asks for.
         tolerances: parameters that differ from motor to motor: key and standard deviation, relative.
     """
 
@@ -57,13 +63,14 @@ class ObserverSettings:
     current_sd: float | None = None
     period_s: float | None = None
     load_walk: float = 0.002
-    load_jump: float = 0.7
+    load_jump: float = 0.4
+    jump_every: float = 4000.0
+    jump_lasts: float = 3.0
     thermal_walk: float = 0.0
     model_sd: float = 2e-4
     bend_sd: float = 1.0
     rise_K: float | None = None
     rise_sd_K: float | None = None
-    alarm: float = 12.0
     rest: float = 0.01
     tolerances: tuple[tuple[str, float], ...] = ()
 
@@ -101,13 +108,25 @@ class _Design:
         start = {"theta": rise} | {key: values[key] for key in self.parameters}
         sd = {"w": rated.speed_rad_s / 4, "theta": rise_sd, "load": rated.torque_Nm}
         sd |= {key: share * abs(values[key]) for key, share in settings.tolerances}
-        # What the winding heats along (housing, magnets) starts near ambient temperature, as far as anyone knows.
-        slow = {name: 0.5 * rise_sd for name in self.states if name.startswith("theta_")}
         self.start = [start.get(name, 0.0) for name in self.states]
-        self.sd = [(sd | slow).get(name, 0.0) for name in self.states]
+        self.sd = [sd.get(name, 0.0) for name in self.states]
+        self.pairs = [(a, b) for a in range(len(self.states)) for b in range(a, len(self.states))]
+        self.covariance = [
+            [s * t if a == b else 0.0 for b, t in enumerate(self.sd)] for a, s in enumerate(self.sd)
+        ]
+        # What the winding heats along (housing, magnets) starts about as warm as the winding, for all anyone knows: a motor
+        # that starts cold is cold throughout.
+        slow = [k for k, name in enumerate(self.states) if name.startswith("theta_")]
+        winding = self.at["theta"]
+        for k in slow:
+            self.start[k] = ALONG * self.start[winding]
+            for other in (winding, *slow):
+                share = 1.0 if other == winding else ALONG
+                self.covariance[k][other] = self.covariance[other][k] = ALONG * share * rise_sd**2
+            self.covariance[k][k] += (APART * self.rated.rise_K) ** 2
+            self.sd[k] = math.sqrt(self.covariance[k][k])
         n = len(self.states)
-        self.pairs = [(a, b) for a in range(n) for b in range(a, n)]
-        self.size = len(WINDOW) + len(MEMORY) + n + len(self.pairs)
+        self.size = len(WINDOW) + len(MEMORY) + len(BRANCHES) * (n + len(self.pairs))
 
     def observer(self) -> Observer:
         outputs, read = self.read()
@@ -139,49 +158,95 @@ class _Design:
         R = m.resistance(self.start[self.at["theta"]])
         turns = h * (mean * (m.ke / m.J) + drag)
         unsteady = (v - v_old) - R * (i - i_old) - m.ke * turns
-        bend = (h <= BENT * self.period).select(_bend(r, h, m.L / R) * unsteady * (1 / R) * alive, 0.0)
+        bent = (h <= BENT * self.period).select(bend(r, h, m.L / R) * unsteady * (1 / R) * alive, 0.0)
         return r.program([
             alive + first, v, i, drag, i_start + first * i, time + h, sum_v + h * 0.5 * (v + v_old), sum_i + h * mean,
-            sum_ii + h * mean_square, sum_b + h * bend, sum_hh + h * h, sum_c + h * h * change,
+            sum_ii + h * mean_square, sum_b + h * bent, sum_hh + h * h, sum_c + h * h * change,
         ])  # fmt: skip
 
     def correct(self) -> Program:
-        r, n = Recorder(), len(self.states)
+        r = Recorder()
         ambient = r.input("ambient")
         window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
-        drift, trend, restless = r.inputs(MEMORY)
-        x, P = self._unpack(r)
-        T = window["time"]
-        # Over a gap nobody knows what was done to the motor; it is taken to have gone on as it is found, a resting one to
-        # have rested, and slow states follow for the whole time.
-        gap = r.apply("le", GAP * self.period, T)
+        odds, restless = r.inputs(MEMORY)
+        branches = self._unpack(r)
+        # Over a gap nobody knows what was done to the motor.
+        gap = r.apply("le", GAP * self.period, window["time"])
         believed = 1.0 - gap
+        share = probability(odds)
+        pace, settings = self.motor.R_a0 * self.motor.J / self.motor.ke**2, self.settings
+        enter = (window["time"] * (1 / (settings.jump_every * pace))).min(0.5)
+        leave = (window["time"] * (1 / (settings.jump_lasts * pace))).min(0.5)
+        before = share * (1.0 - leave) + (1.0 - share) * enter
+        new, surprises, logs = [], [], []
+        for changing, weight in (
+            (False, share * leave / (1.0 - before)),
+            (True, share * (1.0 - leave) / before),
+        ):
+            x, P, surprise, log = self._advanced(r, *mixed(weight, branches), window, ambient, gap, changing)
+            new.append((x, P))
+            surprises.append(surprise)
+            logs.append(log)
+        odds = (before / (1.0 - before)).log() + (logs[1] - logs[0]) * believed
+        odds = odds.max(-MOST_ODDS).min(MOST_ODDS)
+        share = probability(odds)
+        surprise = (surprises[0] + share * (surprises[1] - surprises[0])) * believed
+        restless = restless + (1 - math.exp(-1 / 100)) * (surprise - 1.0 - restless)
+        x, _ = mixed(share, new)
+        plain = gap.select(window["current"], window["sum_current"] / window["time"])
+        mean = plain + window["sum_bends"] / window["time"]
+        rates, _ = self._linearised(r, x, mean, window["voltage"], ambient)
+        # What brakes the rotor, as an acceleration: the next window's samples need it.
+        drag = (rates[self.at["w"]] - mean * (self.motor.ke / self.motor.J)) * believed
+        fresh = [window["alive"], window["voltage"], window["current"], drag, window["current"]]
+        fresh += [0.0] * (len(WINDOW) - len(fresh))
+        return r.program([*fresh, odds, restless, *self._pack(new)])
+
+    def _advanced(
+        self, r: Recorder, x: list[Any], P: list[list[Any]], window: Mapping[str, Value], ambient: Any, gap: Any,
+        changing: bool,
+    ) -> tuple[list[Any], list[list[Any]], Any, Any]:  # fmt: skip
+        """One branch over a window: states, covariance, squared normalised innovation, logarithm of its likelihood."""
+        n, T, believed = len(self.states), window["time"], 1.0 - gap
         V = gap.select(window["voltage"], window["sum_voltage"] / T)
         plain = gap.select(window["current"], window["sum_current"] / T)
         mean = plain + window["sum_bends"] / T
         square = gap.select(mean * mean, window["sum_square"] / T)
         steps = window["sum_steps"]
+        rated, motor, settings = self.rated, self.motor, self.settings
 
         theta, w, load = self.at["theta"], self.at["w"], self.at["load"]
         R = self._resistance(r, x)
-        limit = 1.5 * self.rated.speed_rad_s
-        x[w] = gap.select(((V - R * mean) * (1 / self.motor.ke)).max(-limit).min(limit), x[w])
+        limit = 1.5 * rated.speed_rad_s
+        # Over a gap the motor is taken to have gone on as it is found, a resting one to have rested; slow states follow for
+        # the whole time.
+        x[w] = gap.select(((V - R * mean) * (1 / motor.ke)).max(-limit).min(limit), x[w])
         rates, A = self._linearised(r, x, mean, V, ambient)
         # The copper heats by the mean square of the current, not by the square of its mean.
-        rates[theta] = rates[theta] + R * (square - mean * mean) / self.motor.H
+        rates[theta] = rates[theta] + R * (square - mean * mean) / motor.H
         short = T.min(GAP * self.period)
         F: list[list[Any]] = [[0.0] * n for _ in range(n)]
         ahead = list(x)
         for j in range(n):
-            own, reach = _exponential(A[j][j], short if j in (w, load) else T)
+            own, reach = exponential(A[j][j], short if j in (w, load) else T)
             F[j] = [A[j][k] * reach * believed if k != j else own for k in range(n)]
             ahead[j] = x[j] + reach * rates[j]
-        P = _congruence(F, P)
-        rated, motor, settings = self.rated, self.motor, self.settings
+        pace = motor.R_a0 * motor.J / motor.ke**2
+        walk = short * (settings.load_walk * rated.torque_Nm) ** 2
+        if changing:
+            walk = walk + short * (settings.load_jump * rated.torque_Nm) ** 2 / pace
+        walk = walk + gap * rated.torque_Nm**2
+        # Near rest the brake takes what the motor's torque asks for: what was known of the load no longer holds.
+        near = x[w].abs() <= settings.rest * rated.speed_rad_s
+        torque = ((plain.abs() - 3 * self.i_sd).max(0.0) * (2 * motor.ke)).min(self.sd[load])
+        P[load][load] = near.select(P[load][load].max(torque * torque), P[load][load])
+        # It changes at any time of the window: half of it before, half after.
+        P[load][load] = P[load][load] + 0.5 * walk
+        P = congruence(F, P)
         warming = motor.k0 * (1 + motor.kT * rated.speed_rad_s) * rated.rise_K / motor.H
         unseen = gap.select((T * T * warming**2).min(self.sd[theta] ** 2), 0.0)
-        bend = (mean - plain) * settings.bend_sd
-        shaken = bend * T * (motor.ke / motor.J)
+        unsure = (mean - plain) * settings.bend_sd
+        shaken = unsure * T * (motor.ke / motor.J)
         P[w][w] = (
             P[w][w]
             + steps * (motor.ke * self.i_sd / motor.J) ** 2
@@ -189,11 +254,6 @@ class _Design:
             + (1e-5 * rated.speed_rad_s) ** 2
         )
         P[theta][theta] = P[theta][theta] + T.min(3600.0) * settings.thermal_walk**2 + unseen
-        P[load][load] = P[load][load] + short * (settings.load_walk * rated.torque_Nm) ** 2
-
-        # At rest, or nearly, the brake takes what it must: whatever was known of the load no longer holds.
-        near = x[w].abs() <= self.settings.rest * rated.speed_rad_s
-        P[load][load] = near.select(P[load][load].max(self.sd[load] ** 2), P[load][load])
         middle = list(ahead)
         # The mean speed of a window in which the current, and so the acceleration, changes.
         sag = T * (window["current"] - window["current_start"]) * (motor.ke / motor.J / 12)
@@ -202,75 +262,49 @@ class _Design:
         # A current that may be noise says nothing about the resistance.
         limit = 3 * self.i_sd
         _, slopes = self._balance(r, middle, plain - plain.min(limit).max(-limit), V, ambient)
-        change = (window["current"] - window["current_start"]) * self.motor.L / T
-        error = balance - change
+        error = balance - (window["current"] - window["current_start"]) * motor.L / T
         H = [-slope for slope in slopes]
+        # The mean speed, seen from the speed at the end: what drives it reached it halfway.
+        H = [H[j] - (0.5 * H[w] * F[w][j] if j != w else 0.0) for j in range(n)]
         noise = (
             (steps * (self.v_sd**2) + window["sum_changes"]) / (T * T) + R * R * steps * self.i_sd**2 / (T * T)
             + (2 * (motor.L * self.i_sd) ** 2) / (T * T) + (settings.model_sd * rated.voltage_V) ** 2
-            + R * bend * R * bend
+            + R * unsure * R * unsure
             + (sag * (motor.ke * settings.bend_sd)) * (sag * (motor.ke * settings.bend_sd))
         )  # fmt: skip
-        PH = [_dot(P[j], H) for j in range(n)]
-        S = _dot(H, PH) + noise
-        z = error * (1.0 - gap) / S.sqrt()
-        keep = math.exp(-1 / 10)
-        drift = keep * drift + (1 - keep) * z
-        sudden = r.apply("le", settings.alarm, z * z)
-        keep_trend = math.exp(-1 / 60)
-        trend = keep_trend * trend + (1 - keep_trend) * z
-        creeping = r.apply("le", settings.alarm * (1 - keep_trend) / (1 + keep_trend), trend * trend)
-        steady = r.apply("le", settings.alarm * (1 - keep) / (1 + keep), drift * drift)
-        jump = sudden.max(steady).max(creeping).max(gap)
-        opened = jump * (settings.load_jump * rated.torque_Nm) ** 2
-        drift, trend = drift * (1.0 - jump), trend * (1.0 - jump)
-        # It jumped at some instant of the window, or before: by its end it has moved the speed along.
-        g: list[Any] = [0.0] * n
-        g[load], g[w] = 1.0, F[w][load]
-        for a in (w, load):
-            for b in (w, load):
-                P[a][b] = P[a][b] + opened * g[a] * g[b]
-        PH = [_dot(P[j], H) for j in range(n)]
-        S = _dot(H, PH) + noise
+        PH = [dot(P[j], H) for j in range(n)]
+        S = dot(H, PH) + noise
         # The mean over a gap says nothing about its end.
         K = [PH[j] / S * believed for j in range(n)]
         # The current's noise is in the innovation and in the slope by which it is weighed; their product has a mean, by
         # which a winding would seem to cool without end, unless it is made good (errors in variables; Söderström 2007,
         # doi:10.1016/j.automatica.2006.11.025).
-        share = steps / (T * T)
+        part = steps / (T * T)
         excess = (limit * limit <= plain * plain).select(
-            R * self.i_sd**2 * share * (1.0 - 0.5 * share) / S, 0.0
+            R * self.i_sd**2 * part * (1.0 - 0.5 * part) / S, 0.0
         )
-        per_A = self._per_ampere(x)
+        per_A = self._per_kelvin(x)
         new = [ahead[j] + K[j] * error + P[j][theta] * per_A * excess * believed for j in range(n)]
         for a, b in self.pairs:
             P[a][b] = P[a][b] - K[a] * PH[b]
+        P[load][load] = P[load][load] + 0.5 * walk
         P[w][w] = P[w][w] + gap * rated.speed_rad_s**2
         for j in range(n):
             P[j][j] = P[j][j].max(1e-14 * self.sd[j] ** 2) if self.sd[j] else P[j][j]
-        new[theta] = new[theta].max(-self.rated.rise_K).min(4 * self.rated.rise_K)
+        new[theta] = new[theta].max(-rated.rise_K).min(4 * rated.rise_K)
         after = (window["voltage"] - R * window["current"]) * (1 / motor.ke)
         fastest = 4 * rated.speed_rad_s
         new[w] = gap.select(after, new[w]).max(-fastest).min(fastest)
-        restless = restless + (1 - math.exp(-1 / 100)) * (z * z - 1.0 - restless)
-        # What brakes the rotor, as an acceleration: the next window's samples need it.
-        drag = (rates[w] - mean * (motor.ke / motor.J)) * believed
-        fresh = [
-            window["alive"],
-            window["voltage"],
-            window["current"],
-            drag,
-            window["current"],
-            *[0.0] * (len(WINDOW) - 5),
-        ]
-        return r.program([*fresh, drift, trend, restless, *self._pack(new, P)])
+        surprise = error * error / S
+        return new, P, surprise, (surprise + S.log()) * -0.5
 
     def read(self) -> tuple[tuple[str, ...], Program]:
         r = Recorder()
         ambient = r.input("ambient")
         window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
-        drift, trend, restless = r.inputs(MEMORY)
-        x, P = self._unpack(r)
+        odds, restless = r.inputs(MEMORY)
+        changing = probability(odds)
+        x, P = mixed(changing, self._unpack(r))
         w, theta = self.at["w"], self.at["theta"]
         mean = 0.5 * (window["current"] + window["current_start"])
         rates, _ = self._linearised(r, x, mean, window["voltage"], ambient)
@@ -290,23 +324,29 @@ class _Design:
         for name, variance in variances.items():
             outputs[f"log_{name}"] = (variance + (FLOOR[name] * sizes[name]) ** 2).log()
         outputs["correlation"] = P[w][theta] / (P[w][w] * P[theta][theta] + 1e-30).sqrt()
-        outputs["drift"], outputs["trend"] = drift, trend
+        outputs["changing"] = changing
         # An outlier lifts the average of squares by orders of magnitude; its logarithm stays within reach.
         outputs["restless"] = (restless.max(-0.9) + 1.0).log()
         return tuple(outputs), r.program(list(outputs.values()))
 
-    def _unpack(self, r: Recorder) -> tuple[list[Value], list[list[Any]]]:
-        n = len(self.states)
-        x = [value + start for value, start in zip(r.inputs(list(self.states)), self.start, strict=True)]
-        P: list[list[Any]] = [[0.0] * n for _ in range(n)]
-        for a, b in self.pairs:
-            entry = r.input(f"P_{self.states[a]}_{self.states[b]}") + (self.sd[a] ** 2 if a == b else 0.0)
-            P[a][b] = P[b][a] = entry
-        return x, P
+    def _unpack(self, r: Recorder) -> list[Branch]:
+        n, branches = len(self.states), []
+        for branch in BRANCHES:
+            names = [f"{name}_{branch}" for name in self.states]
+            x = [value + start for value, start in zip(r.inputs(names), self.start, strict=True)]
+            P: list[list[Any]] = [[0.0] * n for _ in range(n)]
+            for a, b in self.pairs:
+                entry = r.input(f"P_{names[a]}_{names[b]}") + self.covariance[a][b]
+                P[a][b] = P[b][a] = entry
+            branches.append((x, P))
+        return branches
 
-    def _pack(self, x: Sequence[Any], P: Sequence[Sequence[Any]]) -> list[Any]:
-        packed = [value - start for value, start in zip(x, self.start, strict=True)]
-        return packed + [P[a][b] - (self.sd[a] ** 2 if a == b else 0.0) for a, b in self.pairs]
+    def _pack(self, branches: Sequence[Branch]) -> list[Any]:
+        packed: list[Any] = []
+        for x, P in branches:
+            packed += [value - start for value, start in zip(x, self.start, strict=True)]
+            packed += [P[a][b] - self.covariance[a][b] for a, b in self.pairs]
+        return packed
 
     def _values(self, x: Sequence[Any], current: Any, voltage: Any, ambient: Any) -> dict[Any, Any]:
         inputs = {named("x_i"): current, named("u_v"): voltage, named("u_ambient"): ambient}
@@ -338,7 +378,7 @@ class _Design:
         )
         return R_a0 * (1 + alpha * x[self.at["theta"]])
 
-    def _per_ampere(self, x: Sequence[Any]) -> Any:
+    def _per_kelvin(self, x: Sequence[Any]) -> Any:
         """Derivative of the resistance by the winding's temperature."""
         R_a0, alpha = (
             x[self.at[key]] if key in self.at else getattr(self.motor, key) for key in ("R_a0", "alpha")
@@ -356,45 +396,4 @@ class _Design:
             gradient[self.at["R_a0"]] = 1 + alpha * theta
         if "alpha" in self.at:
             gradient[self.at["alpha"]] = R_a0 * theta
-        return _dot(gradient, [_dot(row, gradient) for row in P])
-
-
-def _bend(r: Recorder, h: Value, tau: float) -> Any:
-    """tau / h - coth(h / (2 tau)) / 2, which is -h / (12 tau) for short steps; 0 without inductance."""
-    if tau <= 0.0:
-        return 0.0
-    decay = (h * (-1 / tau)).exp()
-    short = h <= 1e-3 * tau
-    safe = short.select(tau, h)
-    away = short.select(0.5, decay)
-    return short.select(h * (-1 / (12 * tau)), tau / safe - 0.5 * (1.0 + away) / (1.0 - away))
-
-
-def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    total: Any = 0.0
-    for left, right in zip(a, b, strict=True):
-        if not (isinstance(left, float) and left == 0.0) and not (isinstance(right, float) and right == 0.0):
-            total = total + left * right
-    return total
-
-
-def _congruence(F: Sequence[Sequence[Any]], P: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """F P F^T, of which the upper half is computed."""
-    n = len(F)
-    FP = [[_dot(F[a], [P[k][b] for k in range(n)]) for b in range(n)] for a in range(n)]
-    out: list[list[Any]] = [[0.0] * n for _ in range(n)]
-    for a in range(n):
-        for b in range(a, n):
-            out[a][b] = out[b][a] = _dot(FP[a], F[b])
-    return out
-
-
-def _exponential(rate: Any, T: Any) -> tuple[Any, Any]:
-    """exp(rate T), and its integral over the window."""
-    if isinstance(rate, float) or rate.number is not None:
-        number = rate if isinstance(rate, float) else rate.number
-        if number == 0.0:
-            return 1.0, T
-    decay = (rate * T).exp()
-    small = (rate * T).abs() <= 1e-7
-    return decay, small.select(T, (decay - 1.0) / small.select(1.0, rate))
+        return dot(gradient, [dot(row, gradient) for row in P])

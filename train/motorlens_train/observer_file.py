@@ -17,14 +17,17 @@ from motorlens_train.observer_program import Program
 
 Array = NDArray[np.float64]
 
-# What `accumulate` keeps, in this order; behind it stand `MEMORY`, the states and the upper half of their covariance.
+# What `accumulate` keeps, in this order; behind it stand `MEMORY` and, for each of the `BRANCHES`, the states and the upper
+# half of their covariance.
 WINDOW = (
     "alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends",
     "sum_steps", "sum_changes",
 )  # fmt: skip
 TIME = WINDOW.index("time")
-# Kept from window to window: averages of the innovations over ten and over sixty windows, and the excess of their squares.
-MEMORY = ("drift", "trend", "restless")
+# Kept from window to window: logarithm of the odds that the load is changing, and the innovations' excess over what was
+# expected, an average over a hundred windows.
+MEMORY = ("odds", "restless")
+BRANCHES = ("steady", "changing")
 
 
 @dataclass(frozen=True)

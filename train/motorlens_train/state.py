@@ -30,7 +30,7 @@ class Record:
     objective: float
     error: list[float]
     validation: list[float] | None
-    gamma: float | None  # of the last evaluation of the evidence; None before the first
+    gamma: float  # of the last evaluation of the evidence, at the point where a step began
     log_evidence: float | None
     alpha: list[float]
     beta: list[float]
@@ -44,6 +44,7 @@ class State:
 
     hidden: Tensor
     hyper: Hyperparameters
+    gamma: Tensor  # well-determined parameters of each layer when last evaluated
     damping: float
     stage: int
     iteration: int
@@ -58,7 +59,7 @@ class State:
 def save_checkpoint(path: Path, state: State) -> None:
     """Write `state` to `path` through a temporary file, so that a kill leaves the old or the new one."""
     tensors = {
-        "hidden": state.hidden, "best": state.best,
+        "hidden": state.hidden, "gamma": state.gamma, "best": state.best,
         "alpha": state.hyper.alpha, "beta": state.hyper.beta, "tau": state.hyper.tau,
         "best_alpha": state.best_hyper.alpha, "best_beta": state.best_hyper.beta, "best_tau": state.best_hyper.tau,
     }  # fmt: skip
@@ -89,7 +90,9 @@ def load_checkpoint(path: Path) -> State:
         numbers["history"] = tuple(Record(**entry) for entry in numbers["history"])
         hyper = Hyperparameters(tensors["alpha"], tensors["beta"], tensors["tau"])
         best_hyper = Hyperparameters(tensors["best_alpha"], tensors["best_beta"], tensors["best_tau"])
-        return State(tensors["hidden"], hyper, best=tensors["best"], best_hyper=best_hyper, **numbers)
+        return State(
+            tensors["hidden"], hyper, tensors["gamma"], best=tensors["best"], best_hyper=best_hyper, **numbers
+        )
     except (ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise DataError(
             f"{path}: not a checkpoint of a training ({error}); remove it to start anew"

@@ -222,16 +222,16 @@ def _error_of(found: Fit, run: Run, way: Run, held: bool, r: int) -> float:
     return squares([residual], [run], [found.whiteners[r]])
 
 
-def decoy_of(left: Evidence) -> float:
-    """The best statistic that a decoy reaches."""
-    found = dict(zip(left.names, statistics(left).tolist(), strict=False))
+def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:
+    """The best statistic that a decoy reaches beside some columns."""
+    found = dict(zip(left.names, statistics(left, given).tolist(), strict=False))
     return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)
 
 
 def threshold(now: Look, test: Test) -> float:
     """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
     labels = test.candidate.columns()[test.variant]
-    return max(REAL, 2.0 * decoy_of(now.left.given(labels)))
+    return max(REAL, 2.0 * decoy_of(now.left, labels))
 
 
 def advance(

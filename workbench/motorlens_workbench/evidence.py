@@ -198,15 +198,23 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     )
 
 
-def statistics(left: Evidence) -> Array:
-    """(M - 1,) the robust statistic of every single column at once; 0 for copies of what was projected out."""
+def statistics(left: Evidence, given: Sequence[str] = ()) -> Array:
+    """(M - 1,) the robust statistic of every single column at once, given further columns; 0 for what these explain."""
+    # Of the evidence given those columns only its diagonals and its last columns are needed, which is little work.
+    at = left.index(given)
     total = left.total
-    power = np.diagonal(total)[:-1]
+    weights = _inverse(total[np.ix_(at, at)]) @ total[at] if len(at) else np.zeros((0, len(total)))
+    cross = left.blocks[:, at]
+    moved = 0.5 * (left.blocks[:, at[:, None], at] @ weights) - cross
+    diagonal = np.diagonal(left.blocks, axis1=1, axis2=2) + 2 * np.sum(weights * moved, axis=1)
+    last = left.blocks[:, :, -1] + moved[:, :, -1] @ weights + weights[:, -1] @ moved
+    diagonal, last = diagonal[:, :-1], last[:, :-1]
+    power = diagonal.sum(axis=0)
     known = power > COPY * np.maximum(left.power[:-1], 1e-300)
+    known[at] = False
     safe = np.where(known, power, 1.0)
-    coefficient = total[:-1, -1] / safe
-    diagonal = np.diagonal(left.blocks, axis1=1, axis2=2)[:, :-1]
-    scores = left.blocks[:, :-1, -1] - diagonal * coefficient
+    coefficient = last.sum(axis=0) / safe
+    scores = last - diagonal * coefficient
     inflation = np.ones(len(power))
     for merged in (1, 2, 4):
         joined = np.add.reduceat(scores, np.arange(0, len(scores), merged), axis=0)

@@ -1,10 +1,12 @@
 """What errors of the measured inputs feign: their noise drives the simulation, but it did not drive the motor."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.simulation import cores
 from motorlens_workbench.candidates import Candidate, Curve
 from motorlens_workbench.evidence import Evidence
 from motorlens_workbench.fitting import Fit, Prior
@@ -52,16 +54,17 @@ def feigned(
     odd in it, which is no bias, cancels.
     """
     truths = [run.average(predict(model, run, r)[1]) for r, run in enumerate(runs)]
-    found = []
-    for draw in range(DRAWS):
-        both = []
-        for sign in (1.0, -1.0):
-            moved = [run.stirred(draw, sign) for run in runs]
-            columns = []
-            for r, (truth, other) in enumerate(zip(truths, moved, strict=True)):
-                one, _ = columns_of(model, other, r, prior.keys, dict(prior.sd), listed, free, with_decoys)
-                one.residual[:] += truth - other.average(other.measured)
-                columns.append(one)
-            both.append(products_with_residual(columns, moved, whiteners))
-        found.append(np.mean(both, axis=0))
-    return np.array(found)
+
+    def disturbed(which: tuple[int, float]) -> Array:
+        moved = [run.stirred(*which) for run in runs]
+        columns = []
+        for r, (truth, other) in enumerate(zip(truths, moved, strict=True)):
+            one, _ = columns_of(model, other, r, prior.keys, prior.sd, listed, free, with_decoys)
+            one.residual[:] += truth - other.average(other.measured)
+            columns.append(one)
+        return products_with_residual(columns, moved, whiteners)
+
+    draws = [(draw, sign) for draw in range(DRAWS) for sign in (1.0, -1.0)]
+    with ThreadPoolExecutor(cores()) as pool:
+        found = np.array(list(pool.map(disturbed, draws)))
+    return np.asarray(found.reshape(DRAWS, 2, -1).mean(axis=1))

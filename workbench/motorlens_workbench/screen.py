@@ -262,15 +262,15 @@ def unexplained(
     column there is would take the slow part of the noise along, and the noise model would then believe that there is none.
     """
     evidence = evidence_of(columns, runs, plain)
-    spent = [*base]
-    left = evidence.given(spent)
+    left = evidence.given(base)
+    strongest: list[str] = []
     for _ in range(TAKEN_OUT):
-        tests = statistics(left)
+        tests = statistics(left, strongest)
         best = int(np.argmax(tests))
         if not tests[best] > ENTITLED:
             break
-        spent.append(left.names[best])
-        left = left.given([left.names[best]])
+        strongest.append(left.names[best])
+    spent = [*base, *strongest]
     at = evidence.index(spent)
     coefficient, _ = evidence.solve(spent)
     return [one.residual - one.values[:, :, at] @ coefficient for one in columns], len(spent)

@@ -59,7 +59,7 @@ def _attached(arguments: argparse.Namespace) -> int:
     from motorlens_runtime.sensor import load_sensor
     from motorlens_runtime.web.browser import announce
 
-    for name in ("publish", "swap", "memory", "record", "column", "ambient"):
+    for name in ("publish", "swap", "memory", "record", "column", "ambient", "realtime"):
         if getattr(arguments, name):
             raise DataError(f"--{name} is for a sensor that runs here, with --source; --attach only looks")
     if arguments.alarm and arguments.sensor is None:

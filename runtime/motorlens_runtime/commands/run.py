@@ -71,6 +71,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="for a sensor that needs it and a drive that does not say it",
     )
     parser.add_argument(
+        "--realtime",
+        action="store_true",
+        help="real-time priority, one processor, locked memory; says what the system refused",
+    )
+    parser.add_argument(
         "--backend", choices=("auto", "onnxruntime", "numpy"), default="auto", help="default: auto"
     )
     add_json_argument(parser)

@@ -26,11 +26,13 @@ class View:
         level: 0 is every row, from 1 on means over `BINS_S[level - 1]`.
         first: number of the first row in its level, from 0.
         rows: the rows.
+        more: whether there are newer ones still.
     """
 
     level: int
     first: int
     rows: Estimates
+    more: bool
 
     @property
     def after(self) -> int:
@@ -63,8 +65,8 @@ class History:
         for means, level in zip(self._means, self._levels[1:], strict=True):
             level.append(means.complete(rows))
 
-    def view(self, window_s: float, level: int = -1, after: int = 0) -> View:
-        """The last `window_s` seconds, in the finest level that still holds them all.
+    def view(self, window_s: float, level: int = -1, after: int = 0, most: int = ROWS) -> View:
+        """The last `window_s` seconds, in the finest level that still holds them all; the oldest `most` rows of them.
 
         `level` and `after` are what the reader has already: if the level is still the right one, only newer rows are given.
         """
@@ -77,7 +79,8 @@ class History:
         first = ring.number_of(start_ns)
         if chosen == level and first <= after <= ring.count:
             first = after
-        return View(chosen, first, ring.rows_from(first))
+        rows = ring.rows_from(first, most)
+        return View(chosen, first, rows, first + len(rows) < ring.count)
 
 
 class _Ring:
@@ -117,11 +120,11 @@ class _Ring:
 
     def number_of(self, time_ns: int) -> int:
         """Number of the first row at or after `time_ns`."""
-        kept = self.rows_from(self._oldest)
-        return self._oldest + int(np.searchsorted(kept.time_ns, time_ns))
+        at = np.arange(self._oldest, self.count) % len(self._rows)
+        return self._oldest + int(np.searchsorted(self._rows.time_ns[at], time_ns))
 
-    def rows_from(self, first: int) -> Estimates:
-        return rows_of(self._rows, np.arange(first, self.count) % len(self._rows))
+    def rows_from(self, first: int, most: int) -> Estimates:
+        return rows_of(self._rows, np.arange(first, min(self.count, first + most)) % len(self._rows))
 
 
 class _Bins:

@@ -37,7 +37,14 @@ async function start() {
   for (;;) {
     try {
       if (!about) await introduce();
-      take(await ask(`/live?window=${windowS}&level=${shown.level}&after=${shown.after}`));
+      let live, asked;
+      do {
+        asked = windowS;
+        live = await ask(`/live?window=${asked}&level=${shown.level}&after=${shown.after}`);
+        if (asked === windowS) take(live); // else it answers a question that nobody asks any more
+      } while (live.more || asked !== windowS);
+      tell(live);
+      if (!held) draw();
     } catch (error) {
       gone(error.message);
     }
@@ -86,8 +93,6 @@ function take(live) {
   while (old < shown.time.length && shown.time[old] < newest - windowS) old++;
   if (old) for (const row of [shown.time, shown.doubt, ...shown.values, ...shown.sigma]) row.splice(0, old);
   if (live.counts.device) $("about").textContent = `motorlens monitor: ${about.sensor} ${about.version} on ${live.counts.device}`;
-  tell(live);
-  if (!held) draw();
 }
 
 function append(row, more) {
@@ -98,7 +103,7 @@ function tell(live) {
   const latest = live.latest;
   if (latest) {
     const words = latest.reasons.map(reason => about.reasons[reason] || reason).join("; ");
-    const silent = latest.age_s > 3 ? `Nothing has come for ${duration(latest.age_s)}` : "";
+    const silent = latest.age_s > 3 ? `Nothing has come for ${duration(Math.round(latest.age_s))}` : "";
     const status = {good: "Good", uncertain: "Uncertain", bad: "Bad"}[latest.status] + (words ? `: ${words}` : "");
     state(silent ? "gone" : latest.status, silent || status);
     cards.forEach(({output, card, value, spread, also}, k) => {
@@ -184,7 +189,7 @@ function draw() {
     const px = t => plot.left + (t - begin) / windowS * (plot.right - plot.left);
     const py = v => plot.bottom - (v - low) / (high - low) * (plot.bottom - plot.top);
     pen.textBaseline = "middle";
-    for (const tick of ticks(low, high, 4)) {
+    for (const tick of ticks(low, high, 5)) {
       pen.fillStyle = colour("faint");
       pen.fillRect(plot.left, Math.round(py(tick)), plot.right - plot.left, 1);
       pen.fillStyle = colour("faded");
@@ -253,14 +258,14 @@ function point(pen, x, plot, time, y, s, px, py, end, output, colour) {
 
 function ticks(low, high, about_) {
   const raw = (high - low) / about_, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map(m => m * power).find(m => m >= raw);
+  const step = [1, 2, 2.5, 5, 10].map(m => m * power).find(m => m >= raw);
   const found = [];
   for (let v = Math.ceil(low / step) * step; v <= high; v += step) found.push(v);
   return found;
 }
 
 function tickText(value, span) {
-  const digits = Math.max(0, Math.min(6, 1 - Math.floor(Math.log10(span / 4))));
+  const digits = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(span / 4))));
   return Number(value.toFixed(digits)).toLocaleString("en", {maximumFractionDigits: digits});
 }
 

@@ -4,6 +4,9 @@ examples:
   motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
   motorlens train --recordings run1.csv run2.csv --column speed=wL_rad_s -o mine.onnx
 
+With --tolerance 10 the sensor is for every motor of the make, not for the one of the file; an observer inside
+it (--observer) then finds R, ke and J of the motor it is put on.
+
 From a motor file, duty cycles are simulated with random voltage, load and ambient. From recordings, the
 targets that were measured (speed, temperature, resistance) decide what the sensor promises. Beside OUT.onnx stand
 OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card with the errors on duty cycles not trained on.
@@ -35,6 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the simulated sensor")
     parser.add_argument("--noise", action="append", default=[], metavar="SD",
                         help="CHANNEL=SD, in its unit or %% of rated (default: voltage 0.2%%, current 0.7%%)")  # fmt: skip
+    parser.add_argument(
+        "--tolerance", type=float, default=0.0, metavar="PERCENT",
+        help="every simulated cycle is of another motor, its R, ke, J and thermal parameters up to so much off",
+    )  # fmt: skip
     parser.add_argument("--iterations", type=int, default=120, metavar="N", help="at most (default: 120)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (default: 1)")
     parser.add_argument("--c-header", metavar="FILE.h", help="also write the sensor as a C99 header")
@@ -55,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     if bool(arguments.motor) == bool(arguments.recordings):
         raise DataError("say what to train on: --motor MOTOR.toml or --recordings REC...")
     output = Path(arguments.output)
+    if arguments.tolerance and not arguments.motor:
+        raise DataError("--tolerance is for simulated motors: it needs --motor MOTOR.toml")
     if output.suffix != ".onnx":
         raise DataError(f"-o {output}: a sensor file ends in .onnx")
     observed = read_motor_file(arguments.observer) if arguments.observer else None
@@ -63,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.motor:
             material = from_motor(
                 Path(arguments.motor), output.stem, arguments.cycles, arguments.rate, arguments.noise, arguments.seed,
-                hidden, arguments.iterations, progress.update, observed,
+                hidden, arguments.iterations, progress.update, observed, arguments.tolerance / 100,
             )  # fmt: skip
         else:
             material = from_recordings(

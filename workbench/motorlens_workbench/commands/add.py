@@ -71,5 +71,6 @@ def run(arguments: argparse.Namespace) -> int:
         words += ["--force"] if arguments.force else []
         words += ["-o", arguments.output]
         words += [word for column in arguments.column for word in ("--column", column)]
+        words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
         Path(arguments.html).write_text(to_html(document, shlex.join(words)), encoding="utf-8")
     return 0 if written else 1

@@ -45,6 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.html:
         words = ["motorlens", "compare", *arguments.recordings, "--motor", arguments.motor]
         words += [word for column in arguments.column for word in ("--column", column)]
+        words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
         Path(arguments.html).write_text(
             to_html(found, arguments.recordings, arguments.motor, shlex.join(words)), encoding="utf-8"
         )

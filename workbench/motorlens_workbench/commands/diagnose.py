@@ -59,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         words = ["motorlens", "diagnose", *arguments.recordings, "--motor", arguments.motor]
         words += [word for column in arguments.column for word in ("--column", column)]
+        words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
         Path(arguments.html).write_text(
             to_html(found, verdict, document, shlex.join(words)), encoding="utf-8"
         )

@@ -85,6 +85,8 @@ const SHOW = {
         c.minimum_detectable === null ? "" : `${number(Number(c.minimum_detectable.toPrecision(2)))}${of}`, c.why_not || button];
     }), parent);
     [...found.tBodies[0].rows].forEach((row, k) => row.classList.toggle("chosen", result.chosen.includes(rows[k].name)));
+    if (result.unknown_shape)
+      make("p", `The shape of what is missing, against ${result.unknown_shape.against}, is the first picture of the report.`, parent);
     for (const channel of Object.keys(result.error.before))
       bars(`Error of ${channel} on blocks of time held out, ${UNITS[channel] || ""}`, [
         ["base model", result.error.before[channel]], ["with what was named", result.error.after[channel]],

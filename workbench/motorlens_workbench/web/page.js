@@ -18,7 +18,7 @@ async function start() {
     };
   });
   addEventListener("keydown", event => {
-    const typing = event.target.matches("input[type=text], select");
+    const typing = event.target.matches("input[type=text], textarea, select");
     if (!typing && !event.ctrlKey && !event.metaKey && !event.altKey && TABS[Number(event.key) - 1]) open_(TABS[Number(event.key) - 1], true);
   });
   for (const button of document.querySelectorAll("button.run:not([type=submit])")) button.onclick = () => take({kind: button.dataset.kind});
@@ -33,13 +33,16 @@ async function start() {
   await choose(last && (last.written || last.motor), last);
   const wanted = TABS.indexOf(location.hash.slice(1));
   open_(TABS[Math.max(wanted, 0)]);
-  for (;;) {
+  for (let answered = true;;) {
     try {
       await follow();
+      if (!answered) problem("");
+      answered = true;
     } catch (error) {
+      answered = false;
       problem("The workbench does not answer any more; start it again.");
     }
-    await new Promise(done => setTimeout(done, LOOK_MS));
+    await new Promise(done => setTimeout(done, document.hidden ? 5 * LOOK_MS : LOOK_MS));
   }
 }
 
@@ -217,7 +220,7 @@ function show(name, kinds, drawing) {
     open_("add");
     $("effect").focus();
   });
-  report(good, parent);
+  report(good, parent, Boolean(results.get(good.number).unknown_shape));
 }
 
 function head(step, parent) {
@@ -239,7 +242,7 @@ function showAgain(last) {
   report(last, parent);
 }
 
-function report(step, parent) {
+function report(step, parent, opened) {
   const box_ = make("details", null, parent), path = `/results/${step.number}.html`;
   make("summary", "Full report, with pictures to zoom into", box_);
   const link = make("a", "Open it in a tab of its own", make("p", null, box_, "note"));
@@ -253,6 +256,7 @@ function report(step, parent) {
       frame.src = path;
     }
   };
+  box_.open = Boolean(opened);
 }
 
 function showSteps() {

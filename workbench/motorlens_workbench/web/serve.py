@@ -129,8 +129,8 @@ def serve(arguments: argparse.Namespace) -> int:
         if not Path(name).is_file():
             raise DataError(f"{name}: there is no such file")
     for name in arguments.recordings:
-        if Path(name).suffix.lower() not in RECORDINGS:
-            raise DataError(f"{name}: recordings end in {' or '.join(RECORDINGS)}")
+        if not name.lower().endswith(RECORDINGS):
+            raise DataError(f"{name}: recordings end in {', '.join(RECORDINGS)}")
     if arguments.folder is not None and not Path(arguments.folder).is_dir():
         raise DataError(f"--folder {arguments.folder}: there is no such folder")
     shelf = Shelf(tuple(named), arguments.folder)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from motorlens_runtime.errors import DataError
 
-RECORDINGS = (".csv", ".parquet")
+RECORDINGS = (".csv", ".csv.gz", ".parquet")
 # More files than anybody scrolls through: a folder of that many is the wrong one.
 MOST = 2000
 _OUTPUT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*\.toml")
@@ -77,7 +77,7 @@ class Shelf:
         return Shelf((*self.named, name), self.folder) if name not in self.named else self
 
     def _names(self, suffixes: tuple[str, ...]) -> list[str]:
-        found = {_typed(name) for name in self.named if Path(name).suffix.lower() in suffixes}
+        found = {_typed(name) for name in self.named if name.lower().endswith(suffixes)}
         if self.folder is not None:
             found |= set(_walk(self.folder, suffixes))
         return sorted(found)
@@ -91,7 +91,7 @@ def _walk(folder: str, suffixes: tuple[str, ...]) -> list[str]:
         folders[:] = sorted(name for name in folders if not name.startswith(".") and name != "node_modules")
         for name in sorted(files):
             path = os.path.normpath(os.path.join(place, name))
-            if name.startswith(".") or Path(name).suffix.lower() not in suffixes:
+            if name.startswith(".") or not name.lower().endswith(suffixes):
                 continue
             if Path(path).resolve().is_relative_to(root):
                 found.append(_typed(path))
