@@ -46,7 +46,7 @@ def feigned(
     free: Sequence[Curve | Variation],
     with_decoys: bool,
 ) -> Array:
-    """(DRAWS, M) products of every column with the residual that errors of the measured inputs alone would leave.
+    """(DRAWS, B, M) products of every column with the residual that errors of the measured inputs alone would leave.
 
     Those errors drive the simulation but not the motor, and are in residual and columns alike (errors in variables). The
     present model is taken for the truth and its inputs are disturbed as much again: simulation extrapolation after Cook and
@@ -67,4 +67,4 @@ def feigned(
     draws = [(draw, sign) for draw in range(DRAWS) for sign in (1.0, -1.0)]
     with ThreadPoolExecutor(cores()) as pool:
         found = np.array(list(pool.map(disturbed, draws)))
-    return np.asarray(found.reshape(DRAWS, 2, -1).mean(axis=1))
+    return np.asarray(found.reshape(DRAWS, 2, *found.shape[1:]).mean(axis=1))

@@ -240,13 +240,15 @@ def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequ
 def products_with_residual(
     columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequence[Whitener]
 ) -> Array:
-    """(m + 1,) whitened products of all columns with the residual, the last the residual's own."""
-    total = np.zeros(columns[0].table.shape[2])
-    for one, run, whitener in zip(columns, runs, whiteners, strict=True):
-        white = whitener(one.residual)
-        white[~usable(run, whitener)] = 0.0
-        total += np.tensordot(whitener.adjoint(white), one.table, axes=2)
-    return total
+    """(B, m + 1) whitened products of all columns with the residual by blocks of time, the last the residual's own."""
+    products = []
+    for r, (one, run, whitener) in enumerate(zip(columns, runs, whiteners, strict=True)):
+        kept = usable(run, whitener)
+        pieces = [rows for k, rows in layout(runs, whiteners) if k == r]
+        for rows, part in zip(pieces, whitener.pieces(one.table, pieces), strict=True):
+            flat = part[kept[rows]].reshape(-1, one.table.shape[2])
+            products.append(flat.T @ flat[:, -1])
+    return np.array(products)
 
 
 # How many columns the noise model may first take out, and the statistic that entitles a column to it.

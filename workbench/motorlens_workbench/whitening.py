@@ -58,17 +58,6 @@ class Whitener:
             _whiten(y, piece.start, self.coefficients, self.sigma, keep, self.memory, past, white)
             yield white
 
-    def adjoint(self, z: Array) -> Array:
-        """(N, C) to (N, C), the transpose of the filter: applied to white noise it weighs by the inverse covariance."""
-        z = z / self.sigma
-        z[: self.order] = 0.0
-        out = z.copy()
-        for lag, weights in enumerate(self.coefficients):
-            out[: len(z) - lag] -= z[lag:] @ weights
-        for reach, weights in zip(self.memories, self.memory, strict=True):
-            out[:-1] -= past_mean((z[1:] @ weights)[::-1], reach)[::-1]
-        return out
-
 
 @numba.njit(cache=True, nogil=True)
 def _whiten(y, first, coefficients, sigma, keep, memory, past, white):  # type: ignore[no-untyped-def]
