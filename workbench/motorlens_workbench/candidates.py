@@ -53,6 +53,16 @@ class Candidate:
         assert what is not None
         return what.name
 
+    @property
+    def claims(self) -> int:
+        """How much it claims: the balances it enters, and the parameters that are free."""
+        what = self.variants[0][0]
+        free = sum(not parameter.fixed for parameter in what.parameters().values())
+        if not isinstance(what, Effect):
+            return 1 + free
+        own = ("voltage", "torque", "heat", "inductance", "rates")
+        return free + sum(getattr(type(what), balance) is not getattr(Effect, balance) for balance in own)
+
     def typical(self, file: MotorFile) -> float:
         """Typical size of the switch, away from its null."""
         what = self.variants[0][0].switch()

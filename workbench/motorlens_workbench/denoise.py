@@ -8,14 +8,22 @@ its right, as are compatible with one line: local polynomials with the intersect
 978-0-8194-6042-1.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
 WINDOWS = (1, 3, 5, 9, 17, 33, 65, 129, 257, 513)
 # Half width of a confidence interval, in standard deviations.
 CONFIDENCE = 2.4
+# Noise that lasts: samples in a piece, how much louder than the quietest a piece may be, lags at which it is looked at, the
+# correlation of neighbours above which it counts, and how much of it is kept from one sample to the next.
+PIECE, LOUD, LAGS, LASTS = 64, 4.0, (0, 1, 2, 4, 8, 16), 0.2
+KEEPS = (0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
 
 
 def noise_sd(y: Array) -> float:
@@ -24,6 +32,60 @@ def noise_sd(y: Array) -> float:
         return 0.0
     second = np.diff(y, 2)
     return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a sensor: a white part, and one that lasts (a first-order autoregression).
+
+    Attributes:
+        white: standard deviation of the white part.
+        lasting: standard deviation of the other.
+        keep: its correlation from one sample to the next.
+    """
+
+    white: float = 0.0
+    lasting: float = 0.0
+    keep: float = 0.0
+
+    def __bool__(self) -> bool:
+        return self.white > 0 or self.lasting > 0
+
+    def draw(self, rng: np.random.Generator, rows: int) -> Array:
+        """(rows,) of it."""
+        fresh = self.lasting * np.sqrt(1 - self.keep**2) * rng.standard_normal(rows)
+        return np.asarray(self.white * rng.standard_normal(rows) + lfilter([1.0], [1.0, -self.keep], fresh))
+
+
+def noise_of_input(y: Array) -> Noise:
+    """The noise on a signal that is mostly steady or sloping: what lines through its quieter pieces leave.
+
+    The autocovariance of what is left tells the lasting part from the white one; that the lines have taken some of the noise
+    along is allowed for.
+    """
+    white = noise_sd(y)
+    pieces = len(y) // PIECE
+    if pieces < 8 or white <= 0:
+        return Noise(white)
+    cut = y[: pieces * PIECE].reshape(pieces, PIECE)
+    line = np.column_stack([np.ones(PIECE), np.linspace(-1, 1, PIECE)])
+    without = np.eye(PIECE) - line @ np.linalg.pinv(line)
+    left = cut @ without
+    power = np.mean(left**2, axis=1)
+    # Pieces in which the signal itself bends are far louder than the quietest.
+    quiet = left[power <= LOUD * np.quantile(power, 0.1)]
+    seen = np.array([np.mean(quiet[:, : PIECE - lag] * quiet[:, lag:]) for lag in LAGS])
+    if seen[1] < LASTS * seen[0]:
+        return Noise(white)
+    best = (np.inf, Noise(white))
+    apart = np.abs(np.subtract.outer(np.arange(PIECE), np.arange(PIECE)))
+    for keep in KEEPS:
+        lasting = without @ keep**apart @ without
+        shapes = np.array([[np.mean(np.diagonal(part, lag)) for lag in LAGS] for part in (without, lasting)])
+        sizes, error = nnls(shapes.T, seen)
+        if error < best[0]:
+            best = (error, Noise(float(np.sqrt(sizes[0])), float(np.sqrt(sizes[1])), keep))
+    return best[1]
 
 
 def smoothed(y: Array, sd: float | None = None) -> Array:

@@ -4,7 +4,7 @@ Base fit; noise from the residual that nothing explains; a screen of all effects
 the best and its rivals; again from there, up to three effects; then the question whether it really is that effect.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -53,6 +53,8 @@ from motorlens_workbench.selection import (
 Array = NDArray[np.float64]
 
 MOST = 3
+# 2 log likelihood by which a more involved effect must be better than a simpler one.
+AS_GOOD = 6.0
 
 
 @dataclass(frozen=True)
@@ -265,11 +267,23 @@ def advance(
             if total(now.found) - total(tried) > 0.5 * tests[name].gain
         }
         if good:
-            winner = min(good, key=lambda name: total(good[name]))
+            winner = simplest(good, tests)
             return _accept(now, tests, winner, refits), broken
         broken += [test.candidate.name for test in near]
         tests = {name: test for name, test in tests.items() if name not in broken}
     return None, broken
+
+
+def simplest(good: Mapping[str, Fit], tests: Mapping[str, Test]) -> str:
+    """Of the refits that are as good as the best, the one that claims least."""
+    best = min(good, key=lambda name: total(good[name]))
+    score_of_best = tests[best].score
+    assert score_of_best is not None
+    level = total(good[best]) + AS_GOOD * score_of_best.inflation
+    return min(
+        (name for name in good if total(good[name]) <= level),
+        key=lambda name: (tests[name].candidate.claims, total(good[name])),
+    )
 
 
 def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: Progress) -> Step | None:

@@ -136,9 +136,9 @@ def _nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
     if "ambient" not in run.known and "temperature" in run.channels:
         own["ambient"] = AMBIENT_SD_K
     for channel in run.channels:
-        # A converter that takes its channels one after another, a mean over the last period: half a sample.
+        # A converter that takes its channels one after another; more than that is a sensor that lags.
         if channel != "temperature":
-            own[f"skew.{channel}"] = 0.3 * run.period_s
+            own[f"skew.{channel}"] = 0.12 * run.period_s
     return own
 
 

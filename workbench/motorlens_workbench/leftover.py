@@ -60,10 +60,8 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     """
     outputs = sorted({channel for run in runs for channel in run.channels})
     trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
-    free: list[Curve | Variation] = [
-        *curves(trajectories, BALANCES),
-        *variations(found.model.file, trajectories, outputs),
-    ]
+    free: list[Curve | Variation] = [c for c in curves(trajectories, BALANCES) if not _disturbance(c)]
+    free += variations(found.model.file, trajectories, outputs)
     columns, _ = all_columns(found, runs, (), free, with_decoys=False)
     evidence = evidence_of(columns, runs, found.whiteners)
     evidence = without_input_errors(evidence, found, runs, found.whiteners, (), free, with_decoys=False)
@@ -91,6 +89,11 @@ def bends_of(left: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
         best = max(single[name] for name in tested.names)
         found.append(Bend(curve, gain, deviations, best, curve.knots[at], tested.coefficient, spread))
     return sorted(found, key=lambda bend: -bend.gain)
+
+
+def _disturbance(curve: Curve) -> bool:
+    """A voltage or a torque that goes with time alone, or with the temperature that rises with it, need not be the motor's."""
+    return curve.against == "time" or (curve.against == "temperature" and curve.balance != "heat")
 
 
 def _believable(bend: Bend, rated: Rated) -> bool:

@@ -14,7 +14,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.denoise import moving_mean, noise_sd, smoothed
+from motorlens_workbench.denoise import Noise, moving_mean, noise_of_input, smoothed
 from motorlens_workbench.whitening import quantisation_step
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Run:
         known: which inputs were recorded beside the voltage.
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
-        input_noise: standard deviation of what was smoothed away from the voltage (V) and the load torque (N m).
+        input_noise: of the voltage (V) and the load torque (N m), if it was smoothed away as far as it can be.
         input_step: the least significant bit of either, 0 if continuous.
     """
 
@@ -56,7 +56,7 @@ class Run:
     known: tuple[str, ...]
     floor: Array
     angle: Array | None = None
-    input_noise: tuple[float, float] = (0.0, 0.0)
+    input_noise: tuple[Noise, Noise] = (Noise(), Noise())
     input_step: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
@@ -89,7 +89,7 @@ class Run:
         smooth = replace(
             shown, voltage_V=smoothed(shown.voltage_V), load_torque_Nm=smoothed(shown.load_torque_Nm)
         )
-        noise = (noise_sd(shown.voltage_V), noise_sd(shown.load_torque_Nm))
+        noise = (noise_of_input(shown.voltage_V), noise_of_input(shown.load_torque_Nm))
         return replace(self, inputs=smooth, input_noise=noise)
 
     @property
@@ -109,13 +109,13 @@ class Run:
         rng = np.random.default_rng(seed)
         stirred = []
         shown = (self.inputs.voltage_V, self.inputs.load_torque_Nm)
-        for y, sd, step in zip(shown, self.input_noise, self.input_step, strict=True):
-            noisy = y + sign * sd * rng.standard_normal(len(y))
+        for y, noise, step in zip(shown, self.input_noise, self.input_step, strict=True):
+            noisy = y + sign * noise.draw(rng, len(y))
             if step:
                 # The same converter with its levels shifted: errors that last as long as a level is held.
                 shift = sign * step * rng.uniform(-0.5, 0.5)
                 noisy = np.round((noisy + shift) / step) * step - shift
-            stirred.append(smoothed(noisy, sd) if sd else noisy)
+            stirred.append(smoothed(noisy) if noise else noisy)
         voltage, load = stirred
         return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
 
