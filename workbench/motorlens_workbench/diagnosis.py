@@ -19,6 +19,7 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, Curve, candidates, curves
+from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
 from motorlens_workbench.evidence import Evidence, curve_gain, score, statistics
 from motorlens_workbench.fitting import Fit, base_prior, fit, noise_of, plain_noise, squares, start_model
 from motorlens_workbench.model import Model, predict
@@ -165,6 +166,7 @@ class Finding:
         steps: effects accepted, in order.
         last: the screen from the final model.
         failed: candidates whose refit did not do what the screen promised.
+        dead: channels that follow nothing, left out of all the rest.
     """
 
     runs: tuple[Run, ...]
@@ -173,6 +175,7 @@ class Finding:
     steps: tuple[Step, ...]
     last: Look
     failed: tuple[str, ...]
+    dead: tuple[DeadChannel, ...] = ()
 
 
 def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> Look:
@@ -222,7 +225,12 @@ def investigate(
     """
     runs = tuple(prepare(recording, file) for recording in recordings)
     say("fitting the base parameters")
-    base, runs = base_fit(file, runs)
+    base, used = base_fit(file, runs)
+    dead = dead_channels(file, base, used)
+    if dead:
+        say(f"leaving out the {' and the '.join(f'{one.channel} of {one.recording}' for one in dead)}")
+        base, used = base_fit(file, without(runs, dead))
+    runs = used
     say("screening all effects and sensor faults")
     first = current = look(base, runs, own)
     steps: list[Step] = []
@@ -237,7 +245,7 @@ def investigate(
         current = look(step.found, runs, own)
     last = sober(current, runs)
     first = last if not steps else sober(first, runs)
-    return Finding(runs, base, first, tuple(steps), last, tuple(failed))
+    return Finding(runs, base, first, tuple(steps), last, tuple(failed), dead)
 
 
 def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]]:
