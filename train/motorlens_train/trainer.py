@@ -42,6 +42,8 @@ from motorlens_train.state import Record, State, load_checkpoint, save_checkpoin
 CHUNK = 2048
 # Iterations before the evidence may move alpha and beta: at the start neither weights nor errors mean anything.
 FREE = 2
+# Points at which the autocorrelation time is taken.
+POINTS = 48
 
 
 @dataclass(frozen=True)
@@ -305,7 +307,8 @@ class _Run:
             (self.inputs.scale(x.double()), self.targets.scale(y.double()))
             for x, y in self.source.runs(32768, 8192)
         )
-        return score_autocorrelation(point.network, found, runs, np.random.default_rng([self.seed, 3]))
+        points, _ = self.source.sample(POINTS, np.random.default_rng([self.seed, 3]))
+        return score_autocorrelation(point.network, found, runs, self.inputs.scale(points.double()))
 
     def _recorded(
         self,
