@@ -191,7 +191,7 @@ class _Run:
         quiet = state.quiet + 1 if self._little(point, taken.point, batch, state.gamma) else 0
         hyper, gamma, found = state.hyper, state.gamma, None
         # The inverse of H costs as much as half a small stage's iteration: not after every step.
-        if state.iteration % 3 == 0 or quiet or stuck:
+        if state.iteration % 3 == FREE or quiet or stuck:
             gamma, log_det = taken.reduced.determined(point.network, hyper)
             found = log_evidence(point.network, log_det, point.moments, hyper)
         if state.iteration >= FREE or quiet:
