@@ -140,7 +140,7 @@ class Estimator:
             disagree = self._disagreement(tiles, numbers, place, estimate)
         outside = self._outside(tiles)[place]
         if len(tiles) == 1:
-            return estimate[0, :, place].T, sigma[0, :, place].T, outside, disagree
+            return estimate[0][:, place].T, sigma[0][:, place].T, outside, disagree
         return untiled(estimate)[:, place].T, untiled(sigma)[:, place].T, outside, disagree
 
     def _disagreement(

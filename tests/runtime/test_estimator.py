@@ -56,8 +56,10 @@ def damaged(samples, rng):
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.integers(0, 500), max_size=40), st.booleans(), st.integers(0, 2**32 - 1))
-def test_the_same_bits_however_samples_arrive(sensor, edges, broken, seed):
+@given(
+    st.lists(st.integers(0, 500), max_size=40), st.booleans(), st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.5])
+)  # fmt: skip
+def test_the_same_bits_however_samples_arrive(sensor, edges, broken, seed, share):
     samples = stream(500, seed)
     if broken:
         samples = damaged(samples, np.random.default_rng(seed))
@@ -66,10 +68,18 @@ def test_the_same_bits_however_samples_arrive(sensor, edges, broken, seed):
     for field in Estimates.__dataclass_fields__:
         assert np.array_equal(getattr(whole, field), getattr(cut, field)), field
     # and when only some rows are asked for, as a live publisher does
-    rows = np.flatnonzero(np.random.default_rng(seed).random(len(samples)) < 0.05)
+    rows = np.flatnonzero(np.random.default_rng(seed).random(len(samples)) < share)
     some = Estimator(sensor, 1e-3).push(samples, rows)
     for field in Estimates.__dataclass_fields__:
         assert np.array_equal(getattr(some, field), getattr(whole, field)[rows]), field
+    # and block by block, with no row, one or a few of each
+    estimator, few, at = Estimator(sensor, 1e-3), [], 0
+    for block in np.split(np.arange(len(samples)), np.sort(edges).astype(int)):
+        asked = rows[(rows >= at) & (rows < at + len(block))] - at
+        few.append(estimator.push(part(samples, block), asked))
+        at += len(block)
+    for field in Estimates.__dataclass_fields__:
+        assert np.array_equal(np.concatenate([getattr(p, field) for p in few]), getattr(some, field)), field
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
