@@ -46,7 +46,7 @@ class Whitener:
         """Whiten (N, C) or (N, C, m): prediction errors in units of sigma; the first `order` rows are 0."""
         columns = np.ascontiguousarray(y[:, :, None] if y.ndim == 2 else y, dtype=np.float64)
         keep = np.exp(-1 / np.array(self.memories))
-        errors = _errors(columns, self.coefficients, keep, self.memory, self.sigma)
+        errors: Array = _errors(columns, self.coefficients, keep, self.memory, self.sigma)
         return errors[:, :, 0] if y.ndim == 2 else errors
 
 
