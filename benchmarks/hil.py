@@ -20,7 +20,8 @@ import sys
 import tempfile
 import time
 import tty
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +37,7 @@ from motorlens_runtime.quality import Quality
 from motorlens_runtime.realtime import PRIORITY, realtime
 from motorlens_runtime.sensor import load_sensor
 from motorlens_runtime.service import Service, Settings
+from motorlens_runtime.sources import open_source, split
 
 ROOT = Path(__file__).resolve().parents[1]
 LOOPS = ((1000, 1), (10_000, 10), (20_000, 20))
@@ -86,16 +88,20 @@ def codes_of(count: int) -> np.ndarray:
     ).astype(np.int16)
 
 
+def hello_of(rate: int) -> Hello:
+    channels = tuple(
+        Channel(name, unit, "i2", scale, 0.0, -2048, 2047) for name, (unit, scale) in SCALES.items()
+    )
+    return Hello("hil", 1, (rate, 1), channels, simulated=True)
+
+
 def device(rate: int, n: int, seconds: float, stamps: str) -> int:
     """Print the port, wait for a reader, send in real time, write when each frame was sent."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     print(os.ttyname(slave), flush=True)
     os.close(slave)
-    channels = tuple(
-        Channel(name, unit, "i2", scale, 0.0, -2048, 2047) for name, (unit, scale) in SCALES.items()
-    )
-    hello = Hello("hil", 1, (rate, 1), channels, simulated=True)
+    hello = hello_of(rate)
     codes, frames = codes_of(int(seconds * rate)), int(seconds * rate) // n
     poll = select.poll()
     poll.register(master, select.POLLIN)
@@ -148,24 +154,52 @@ class Probe:
         pass
 
 
+@contextmanager
+def device_of(
+    rate: int, n: int, seconds: float, profile: bool
+) -> Iterator[tuple[str, Callable[[], np.ndarray]]]:
+    """A device in a process of its own: its port, and a function that ends it and gives when each frame was sent."""
+    with tempfile.TemporaryDirectory() as folder:
+        stamps = str(Path(folder) / "stamps.npy")
+        command = [sys.executable, __file__, "--device", str(rate), str(n), str(seconds), stamps]
+        command += ["--realtime"] if profile else []
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None and process.stdin is not None
+
+        def end() -> np.ndarray:
+            process.stdin.close()
+            process.wait()
+            process.stdout.close()
+            return np.load(stamps)
+
+        yield process.stdout.readline().strip(), end
+
+
+def bare_line(rate: int, n: int, profile: bool) -> str:
+    """What the line and the machine take by themselves: a loop that only reads, on the same frames for two seconds."""
+    frames, hellos = 2 * rate // n, len(hello_frames(hello_of(rate), sequence=0, t0_us=0))
+    arrived = np.zeros(frames)
+    with device_of(rate, n, 2.0, profile) as (port, end), ExitStack() as stack:
+        line = open_source(*split(f"pty://{port}"))
+        if profile:
+            stack.enter_context(realtime())
+        seen, cpu, started = -hellos, time.process_time(), time.monotonic()
+        while seen < frames and time.monotonic() < started + 20:
+            zeros = (line.read(0.05) or b"").count(0)
+            arrived[max(seen, 0) : max(seen + zeros, 0)] = time.monotonic_ns()
+            seen += zeros
+        cpu = (time.process_time() - cpu) / (time.monotonic() - started)
+        line.close()
+        latency = (arrived - end()) / 1000
+    p50, p99 = np.percentile(latency, [50, 99])
+    return f"reading alone {p50:.0f} us median, {p99:.0f} us 99 %, {100 * cpu:.1f} % of a core"
+
+
 def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> list[tuple[str, bool]]:
     """One loopback; prints its figures and returns its gates."""
     sensor = load_sensor(sensor_path)
-    with tempfile.TemporaryDirectory() as folder:
-        stamps = str(Path(folder) / "stamps.npy")
-        command = [
-            sys.executable,
-            str(ROOT / "benchmarks" / "hil.py"),
-            "--device",
-            str(rate),
-            str(n),
-            str(seconds),
-            stamps,
-            *(["--realtime"] if profile else []),
-        ]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None and process.stdin is not None
-        port = process.stdout.readline().strip()
+    alone = bare_line(rate, n, profile)
+    with device_of(rate, n, seconds, profile) as (port, end):
         probe = Probe()
         feed = open_feed(f"pty://{port}?dialect=frames", {}, None, 0.0, time.monotonic_ns)
         service = Service(feed, sensor, [probe], None, Settings(1000.0), time.monotonic_ns)  # type: ignore[list-item]
@@ -182,10 +216,7 @@ def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> 
             cpu = (time.process_time() - cpu) / (time.monotonic() - started)
         report = service.report()
         feed.close()
-        process.stdin.close()
-        process.wait()
-        process.stdout.close()
-        sent = np.load(stamps)
+        sent = end()
     got = joined([estimates for _, estimates in probe.parts])
     out = np.concatenate([np.full(len(estimates), at) for at, estimates in probe.parts])
     latency = (out - sent[got.time_ns * rate // (10**9 * n)]) / 1000
@@ -195,7 +226,8 @@ def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> 
     print(
         f"{rate / 1000:g} kHz x {n} a frame, {seconds:g} s, {said}: {report['samples']} samples, {report['lost']} lost, "
         f"frame to estimate {p50:.0f} us median, {p99:.0f} us 99 %, {p999:.0f} us 99.9 %, {latency.max():.0f} us worst; "
-        f"{100 * cpu:.1f} % of a core; load of the machine {os.getloadavg()[0]:.1f}"
+        f"{100 * cpu:.1f} % of a core; {alone}; load of the machine {os.getloadavg()[0]:.1f}",
+        flush=True,
     )
     name = f"{rate} Hz"
     return [

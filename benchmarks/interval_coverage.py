@@ -37,10 +37,11 @@ def process(rows: int, columns: int, time: float, rng: np.random.Generator) -> n
 
 
 def truth(x: np.ndarray, seed: int) -> np.ndarray:
-    """A random smooth function of the inputs, one output of about unit variance."""
+    """A random smooth function of the inputs, one output of unit variance."""
     rng = np.random.default_rng([seed, 5])
-    a, b = rng.standard_normal((INPUTS, 4)) / 2, rng.standard_normal((4, 1)) / 1.5
-    return np.tanh(x @ a + rng.standard_normal(4) / 2) @ b
+    a, b, c = rng.standard_normal((INPUTS, 4)) / 2, rng.standard_normal((4, 1)), rng.standard_normal(4) / 2
+    size = np.std(np.tanh(rng.standard_normal((2000, INPUTS)) @ a + c) @ b)
+    return np.tanh(x @ a + c) @ b / size
 
 
 def repetition(rows: int, time: float, seed: int) -> list[float]:

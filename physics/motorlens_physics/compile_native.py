@@ -12,7 +12,9 @@ functions of C's math library, and calls of the functions above in the same sour
 import ast
 import ctypes
 import hashlib
+import math
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -65,6 +67,8 @@ def native(source: str, signatures: Mapping[str, Signature], folder: Path) -> di
     Raises:
         ModelError: the source uses something that is not understood.
     """
+    for function in {"pow", *re.findall(r"\bmath\.(\w+)\(", source)}:
+        _announce(function)
     target = _target()
     made_by = (llvmlite.__version__, target.triple, llvm.get_host_cpu_name(), _features(), str(signatures))
     name = hashlib.sha256("\n".join((source, *made_by)).encode()).hexdigest()[:24]
@@ -72,7 +76,7 @@ def native(source: str, signatures: Mapping[str, Signature], folder: Path) -> di
     if path.exists():
         code = path.read_bytes()
     else:
-        code = target.emit_object(_optimised(_module(source, signatures), target))
+        code = target.emit_object(_optimised(_module(source, signatures, target), target))
         # Written aside and moved into place: another process never reads half a file.
         handle, aside = tempfile.mkstemp(dir=folder, suffix=".tmp")
         with os.fdopen(handle, "wb") as file:
@@ -116,9 +120,9 @@ def _optimised(module: ir.Module, target: Any) -> Any:
     return parsed
 
 
-def _module(source: str, signatures: Mapping[str, Signature]) -> ir.Module:
+def _module(source: str, signatures: Mapping[str, Signature], target: Any) -> ir.Module:
     module = ir.Module("motorlens")
-    module.triple = llvm.get_process_triple()
+    module.triple, module.data_layout = target.triple, str(target.target_data)
     functions = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
     context = cpu_target.target_context
     # Numba loads what it knows of first-class functions when it first compiles something.
@@ -135,16 +139,14 @@ def _module(source: str, signatures: Mapping[str, Signature]) -> ir.Module:
         }
         result = _Writer(module, builder, functions).body(functions[name], given)
         if result is None:
-            builder.ret(
-                context.get_dummy_value()
-            ) if of_it.return_type != ir.VoidType() else builder.ret_void()
+            # What numba returns for None.
+            result = context.get_dummy_value()
         elif isinstance(result, list):
             packed = ir.Constant(of_it.return_type, ir.Undefined)
             for k, value in enumerate(result):
                 packed = builder.insert_value(packed, value, k)
-            builder.ret(packed)
-        else:
-            builder.ret(result)
+            result = packed
+        builder.ret(result)
     return module
 
 
@@ -207,6 +209,8 @@ class _Writer:
                 return ir.Constant(_DOUBLE, float(node.value))  # type: ignore[arg-type]
             case ast.Name():
                 return values[node.id]
+            case ast.Attribute(value=ast.Name(id="math"), attr=("pi" | "e" | "inf" | "nan") as name):
+                return ir.Constant(_DOUBLE, getattr(math, name))
             case ast.Tuple():
                 return [self._value(element, values) for element in node.elts]
             case ast.Subscript():
@@ -257,7 +261,6 @@ class _Writer:
         if name in _INTRINSICS:
             function = self._module.declare_intrinsic(_INTRINSICS[name], [_DOUBLE], of_it)
         else:
-            _announce(name)
             function = self._module.globals.get(name) or ir.Function(self._module, of_it, name)
         return self._builder.call(function, arguments)
 
@@ -315,7 +318,7 @@ def _whole(node: ast.expr) -> int | None:
 
 @cache
 def _announce(name: str) -> None:
-    """Tell LLVM where a function of C's math library is."""
+    """Tell LLVM where a function of C's math library is, for code just made and code from the cache alike."""
     library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
     try:
         function = getattr(library, name)

@@ -24,7 +24,7 @@ from motorlens_runtime.gate import Samples
 
 Array = NDArray[np.float64]
 
-_BLOCK_BYTES = 1 << 18
+_BLOCK_BYTES = 3 << 16
 # From this size on, a library that reads faster is worth the time it takes to load.
 _LARGE_BYTES = 1 << 22
 _MAX_LINE_BYTES = 1 << 20

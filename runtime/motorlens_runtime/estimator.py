@@ -2,6 +2,7 @@
 where a row is asked for. The result of a row is the same to the last bit however the samples are cut into blocks."""
 
 from dataclasses import dataclass, field, replace
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,7 @@ class Estimator:
         quality = gated.quality[chosen] if rows is not None else gated.quality
         if outside.any():
             mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
-        if not (np.isfinite(values).all() and np.isfinite(sigma).all()):
+        if not isfinite(values.sum() + sigma.sum()):
             mark(quality, ~(np.isfinite(values) & np.isfinite(sigma)).all(axis=1), Quality.NOT_FINITE)
         # Once two implementations have disagreed, neither is believed until the sensor is loaded again.
         if mismatch:
@@ -138,6 +139,8 @@ class Estimator:
         if self.sensor.checker is not None and -int(numbers[0]) % _CHECK_EVERY <= numbers[-1] - numbers[0]:
             disagree = self._disagreement(tiles, numbers, place, estimate)
         outside = self._outside(tiles)[place]
+        if len(tiles) == 1:
+            return estimate[0][:, place].T, sigma[0][:, place].T, outside, disagree
         return untiled(estimate)[:, place].T, untiled(sigma)[:, place].T, outside, disagree
 
     def _disagreement(

@@ -12,7 +12,7 @@ from motorlens_runtime.estimator import Estimates
 from motorlens_runtime.publish import Publisher
 
 T = TypeVar("T")
-_AHEAD = 2
+_AHEAD = 1
 
 
 def ahead(items: Iterable[T]) -> Iterator[T]:

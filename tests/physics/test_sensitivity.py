@@ -11,7 +11,7 @@ from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.effects.quadratic_drag import QuadraticDrag
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Rated, parameters
-from motorlens_physics.sensitivity import linearise, sensitivities
+from motorlens_physics.sensitivity import linearise, linearise_and_differentiate, sensitivities
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_runtime.errors import ModelError
 
@@ -164,6 +164,20 @@ def test_forcings_respond_as_small_changes_of_the_inputs(motor: Motor, held: boo
     np.testing.assert_array_equal(
         run.speed_rad_s, simulate(motor, inputs, {"w": 50.0}, tolerance=1e-8).speed_rad_s
     )
+
+
+def test_one_pass_gives_what_two_give() -> None:
+    motor, inputs = Motor(effects=(QuadraticDrag(c=1e-5),)), drive(5, 300, low=60.0)
+    keys = ["ke", "initial.theta", "quadratic_drag.c"]
+    run, derivatives, linear = linearise_and_differentiate(motor, inputs, {"w": 50.0}, keys)
+    assert list(derivatives) == keys
+    _, alone = sensitivities(motor, inputs, {"w": 50.0}, keys)
+    other, matrices = linearise(motor, inputs, {"w": 50.0})
+    np.testing.assert_array_equal(linear.matrices, matrices.matrices)
+    for name in STATES:
+        np.testing.assert_array_equal(run.states[name], other.states[name])
+        for key in keys:
+            np.testing.assert_array_equal(derivatives[key][name], alone[key][name])
 
 
 def test_a_constant_heat_warms_as_the_thermal_equation_says() -> None:

@@ -108,7 +108,7 @@ def strange(a, b):
     c, d = both(a, b)
     c *= 2
     e = (c if a > b and a > 0 else -c) + min(a, b, 0.5) - max(a, b) + abs(a) * np.sign(b)
-    return e / d + math.atan2(a, b) + a ** 0 + abs(b) ** 0.5 + (1 if a >= 0 or b < 0 else 2)
+    return e / d * math.pi + math.atan2(a, b) + a ** 0 + abs(b) ** 0.5 + (1 if a >= 0 or b < 0 else 2)
 """
     python: dict[str, Any] = {"math": math, "np": np}
     exec(source, python)

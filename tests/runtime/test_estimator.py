@@ -56,8 +56,10 @@ def damaged(samples, rng):
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.integers(0, 500), max_size=40), st.booleans(), st.integers(0, 2**32 - 1))
-def test_the_same_bits_however_samples_arrive(sensor, edges, broken, seed):
+@given(
+    st.lists(st.integers(0, 500), max_size=40), st.booleans(), st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.5])
+)  # fmt: skip
+def test_the_same_bits_however_samples_arrive(sensor, edges, broken, seed, share):
     samples = stream(500, seed)
     if broken:
         samples = damaged(samples, np.random.default_rng(seed))
@@ -66,10 +68,18 @@ def test_the_same_bits_however_samples_arrive(sensor, edges, broken, seed):
     for field in Estimates.__dataclass_fields__:
         assert np.array_equal(getattr(whole, field), getattr(cut, field)), field
     # and when only some rows are asked for, as a live publisher does
-    rows = np.flatnonzero(np.random.default_rng(seed).random(len(samples)) < 0.05)
+    rows = np.flatnonzero(np.random.default_rng(seed).random(len(samples)) < share)
     some = Estimator(sensor, 1e-3).push(samples, rows)
     for field in Estimates.__dataclass_fields__:
         assert np.array_equal(getattr(some, field), getattr(whole, field)[rows]), field
+    # and block by block, with no row, one or a few of each
+    estimator, few, at = Estimator(sensor, 1e-3), [], 0
+    for block in np.split(np.arange(len(samples)), np.sort(edges).astype(int)):
+        asked = rows[(rows >= at) & (rows < at + len(block))] - at
+        few.append(estimator.push(part(samples, block), asked))
+        at += len(block)
+    for field in Estimates.__dataclass_fields__:
+        assert np.array_equal(np.concatenate([getattr(p, field) for p in few]), getattr(some, field)), field
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
@@ -185,3 +195,27 @@ def test_quality_in_the_words_of_others():
     severity = {0: "GOOD", 1: "UNCERTAIN", 2: "BAD"}
     for bit in Quality:  # every reason has a code, and its top two bits say the severity
         assert opc_ua(bit).name.startswith(severity[opc_ua(bit) >> 30]) and opc_ua(bit) != OpcUa.GOOD
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 64), st.sampled_from([1_000_000, 40_000]), st.floats(50.0, 400.0),
+    st.floats(0.0, 120.0), st.booleans(),
+)  # fmt: skip
+def test_few_samples_are_judged_as_many(sensor, seed, block, period_ns, volts, amperes, still):
+    """The short way of the gate and the long way: levels in and out of range, currents that stand still, odd rates."""
+    rng = np.random.default_rng(seed)
+    n = round(1.5 * sensor.specification.warm_up_s * 1e9 / period_ns) + 400
+    voltage = volts + 0.5 * rng.normal(size=n)
+    voltage[n // 2 :: 97] += 30.0
+    current = np.repeat(amperes + 0.3 * rng.normal(size=n), 80 if still else 1)[:n]
+    samples = Samples(np.arange(n) * period_ns, voltage, current)
+    first = Estimator(sensor, period_ns * 1e-9)
+    whole = first.push(samples)
+    second = Estimator(sensor, period_ns * 1e-9)
+    parts = [second.push(part(samples, slice(at, at + block))) for at in range(0, n, block)]
+    for field in Estimates.__dataclass_fields__:
+        assert np.array_equal(np.concatenate([getattr(p, field) for p in parts]), getattr(whole, field)), (
+            field
+        )
+    assert first.state.gate == second.state.gate

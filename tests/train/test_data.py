@@ -11,7 +11,17 @@ from motorlens_runtime.errors import DataError
 from motorlens_train.build import Recipe
 from motorlens_train.data import arrays, cycle, paper_split, target
 from motorlens_train.duty_cycles import Noise, duty_cycle, instants
-from motorlens_train.material import OUTPUTS, bank_of, electrical, from_recordings
+from motorlens_train.material import (
+    OUTPUTS,
+    VARYING,
+    bank_of,
+    electrical,
+    from_motor,
+    from_recordings,
+    relative,
+    tolerant,
+)
+from motorlens_train.observer import ObserverSettings
 from motorlens_train.paper import PAPER_ERROR, paper_run
 from motorlens_train.specification import Rate
 from motorlens_train.trainer import Settings
@@ -47,6 +57,24 @@ def test_a_seed_is_a_cycle_and_another_seed_another() -> None:
     ]
     other = duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng([1, 3])).channels["current"]
     assert np.array_equal(*same) and not np.array_equal(same[0], other[: len(same[0])])
+
+
+def test_motors_of_one_make_differ_by_the_tolerance_and_not_by_more() -> None:
+    off = np.array([
+        [relative(MOTOR, 0.1, np.random.default_rng([k])).values()[key] / MOTOR.values()[key] - 1 for key in VARYING]
+        for k in range(200)
+    ])  # fmt: skip
+    assert 0.09 < np.abs(off).max() <= 0.1
+    assert off.std(0) == pytest.approx(0.1 / np.sqrt(3), rel=0.15)
+    assert np.abs(np.corrcoef(off.T) - np.eye(len(VARYING))).max() < 0.3
+    assert relative(MOTOR, 0.0, np.random.default_rng(0)) is MOTOR
+    assert dict(tolerant(ObserverSettings(), 0.1).tolerances)["ke"] == pytest.approx(0.1 / np.sqrt(3))
+
+
+def test_a_tolerance_that_no_make_has_is_refused() -> None:
+    path = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+    with pytest.raises(DataError, match="--tolerance 60: percent"):
+        from_motor(path, "x", 20, 200.0, [], 1, None, 1, tolerance=0.6)
 
 
 def test_half_of_the_instants_follow_a_start_or_a_step() -> None:

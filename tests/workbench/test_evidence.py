@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from motorlens_workbench.evidence import Evidence, curve_gain, largest_by_chance, score, similarity
+from motorlens_workbench.evidence import (
+    Evidence,
+    curve_gain,
+    largest_by_chance,
+    score,
+    similarity,
+    statistics,
+)
 
 
 def evidence_of(columns: np.ndarray, residual: np.ndarray, blocks: int) -> Evidence:
@@ -47,6 +54,19 @@ def test_projection_in_two_steps_is_projection_in_one(problem):
     once, twice = evidence.given(["c0", "c3"]), evidence.given(["c0"]).given(["c3"])
     assert once.names == twice.names
     assert once.blocks == pytest.approx(twice.blocks, rel=1e-6, abs=1e-6)
+
+
+def test_statistics_beside_columns_are_those_of_the_projected_evidence(problem):
+    left = evidence_of(*problem, 64).given(["c0"])
+    beside = dict(zip(left.names, statistics(left, ["c3", "c1"]), strict=False))
+    assert beside["c3"] == beside["c1"] == 0.0
+    # What is left of c4 is little, and so are both sums that cancel.
+    projected = left.given(["c3", "c1"])
+    for name, value in zip(projected.names, statistics(projected), strict=False):
+        tested = score(projected, [name])
+        assert tested is not None
+        assert beside[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
+        assert beside[name] == pytest.approx(tested.statistic, rel=1e-9, abs=1e-12)
 
 
 def test_a_prior_is_a_pseudo_measurement(problem):

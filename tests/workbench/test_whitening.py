@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from motorlens_workbench.whitening import fit_whitener, quantisation_step, white
+from motorlens_workbench.whitening import Whitener, fit_whitener, quantisation_step, white
 
 
 def coloured(rows: int, seed: int) -> np.ndarray:
@@ -37,6 +37,23 @@ def test_columns_are_filtered_like_the_residual():
     filtered = whitener(columns)
     assert filtered[:, :, 0] == pytest.approx(whitener(y))
     assert filtered[:, :, 1] == pytest.approx(3 * whitener(y))
+
+
+def test_the_filter_is_the_sum_over_lags_and_means_written_out():
+    rng = np.random.default_rng(5)
+    y = rng.standard_normal((60, 2, 3))
+    now = np.array([[0.0, 0.0], [0.7, 0.0]])
+    lags, memory = rng.standard_normal((2, 2, 2)), rng.standard_normal((2, 2, 2))
+    whitener = Whitener(np.concatenate([now[None], lags]), np.array([0.5, 2.0]), (3.0, 10.0), memory)
+    z = whitener(y)
+    assert not z[:2].any()
+    for t in range(2, 60):
+        error = y[t] - now @ y[t] - lags[0] @ y[t - 1] - lags[1] @ y[t - 2]
+        for reach, weights in zip((3.0, 10.0), memory, strict=True):
+            keep = np.exp(-1 / reach)
+            age = np.arange(t)[::-1]
+            error -= weights @ np.tensordot((1 - keep) * keep**age, y[:t], axes=1)
+        assert z[t] == pytest.approx(error / np.array([[0.5], [2.0]]), rel=1e-9, abs=1e-12)
 
 
 def test_invalid_rows_do_not_count():

@@ -23,6 +23,8 @@ from motorlens_train.trainer import Settings, Trained, train
 # Directions of the last-layer posterior that the exported sensor keeps: the least determined ones.
 DIRECTIONS = 12
 GOLDEN_ROWS = 24
+# An observer's standard deviation is not narrowed below this share of itself.
+SUREST = 0.7
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def build(
         read = [silent.read(c.x) for c in calibration]
         off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
         if frame:
-            head = _never_surer(np.concatenate(off) * trained.targets.deviation.numpy(), width)
+            head = _scaled(np.concatenate(off) * trained.targets.deviation.numpy(), width)
             head[:, 0] -= 2 * np.log(trained.targets.deviation.numpy())
         else:
             head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
@@ -206,14 +208,14 @@ def _locked(sensor: Sensor, time: Array, voltage: Array) -> tuple[Array, Array]:
     return voltage, np.round(current, 4)
 
 
-def _never_surer(errors: Array, width: int) -> Array:
+def _scaled(errors: Array, width: int) -> Array:
     """Noise head `[K, Z]` beside an observer, from errors `[N, K]` in its deviations on cycles not trained on.
 
-    The observer's deviation already follows the situation; it is widened as far as nineteen of twenty errors ask for, and
-    never narrowed: simulated cycles that it follows with ease say nothing about a real motor.
+    The observer's deviation already follows the situation; it is scaled until the interval holds nineteen of twenty errors.
+    Never below `SUREST`: simulated cycles that it follows with ease say little about a real motor.
     """
     head = np.zeros((errors.shape[1], width))
-    head[:, 0] = 2 * np.log(np.maximum(np.quantile(np.abs(errors), 0.95, axis=0) / 1.96, 1.0))
+    head[:, 0] = 2 * np.log(np.maximum(np.quantile(np.abs(errors), 0.95, axis=0) / 1.96, SUREST))
     return head
 
 

@@ -159,52 +159,50 @@ def update(
 
 
 def score_autocorrelation(
-    network: Network,
-    now: Evidence,
-    runs: Iterable[tuple[Tensor, Tensor]],
-    generator: np.random.Generator,
-    directions: int = 48,
+    network: Network, now: Evidence, runs: Iterable[tuple[Tensor, Tensor]], points: Tensor
 ) -> Tensor:
     """Autocorrelation time of each output's score, `[K]`, at least 1.
 
     The score of sample n is its contribution `J_n^T e_n` to the gradient; its autocorrelation, not that of the
-    errors e_n, is what makes the posterior too sure (Godambe's information). Scores are measured in the posterior's
-    metric H^-1, through random directions. Their autocorrelation is first summed up to five times the time found so
-    far (Sokal's window), then up to eight times that time with Bartlett's weights, because the slowest directions
-    matter most. A network that has fitted gamma slow shapes has taken just these out of its errors: the share
-    `gamma w / N` of the window w that is lost is made good, up to a factor of two. At least two effective samples a
-    weight are left.
+    errors e_n, is what makes the posterior too sure (Godambe's information). The function's error at a point with
+    gradient g is the sum of the scores along `H^-1 g`, so the autocorrelation is taken along that direction, and the mean
+    over the points is what makes the mean square of the error in standard deviations one. (A mean over all directions of
+    the weights is shorter: the fine shapes, which are many and matter at few points, last less than the coarse ones.)
+    It is first summed up to five times the time found so far (Sokal's window), then up to eight times that time with
+    Bartlett's weights, because the slowest directions matter most. A network that has fitted gamma slow shapes has taken
+    just these out of its errors: the share `gamma w / N` of the window w that is lost is made good, up to a factor of two.
+    At least one effective sample a weight is left.
 
     Args:
         network: weights at the minimum.
         now: evidence there.
         runs: unbroken stretches of scaled inputs `[n, F]` and targets `[n, K]` in order of time.
-        generator: for the random directions.
-        directions: number of random directions that stand for the trace.
+        points: scaled inputs at which the function is asked, `[D, F]`.
     """
-    draws = torch.from_numpy(generator.standard_normal((len(now.factor), directions)))
-    probes = torch.linalg.solve_triangular(now.factor.T, draws, upper=True)
     outputs = network.architecture.outputs
-    total = np.zeros((outputs, 0))
+    gradients = jacobian(network, points.double()).permute(1, 2, 0)
+    probes = torch.cholesky_solve(gradients, now.factor.expand(outputs, -1, -1))
+    total = np.zeros((outputs, 0, len(points)))
     for x, y in runs:
-        scores = torch.einsum("nkp,pd->nkd", jacobian(network, x.double()), probes)
+        scores = torch.einsum("nkp,kpd->nkd", jacobian(network, x.double()), probes)
         scores = scores * (network(x.double()) - y.double())[..., None]
         products = _lagged_products(scores.numpy())
         longest = max(total.shape[1], products.shape[1])
         total = _padded(total, longest) + _padded(products, longest)
     gamma = float(now.gamma.sum()) / outputs
-    times = [_correlation_time(row / row[0], gamma, now.rows) if row[0] > 0 else 1.0 for row in total]
+    correlation = (total / np.maximum(total[:, :1], np.finfo(float).tiny)).mean(2)
+    times = [_correlation_time(row, gamma, now.rows) for row in correlation]
     # Tempered further, the network would shrink to nothing, its errors would last longer, and so on round the circle.
-    most = max(1.0, now.rows / (2 * network.architecture.parameters))
+    most = max(1.0, now.rows / network.architecture.parameters)
     return torch.tensor(times, dtype=torch.float64).clamp_max(most)
 
 
 def _lagged_products(scores: np.ndarray) -> np.ndarray:
-    """`sum_n sum_d s[n, k, d] s[n + h, k, d]` for every lag h, `[K, n]`."""
+    """`sum_n s[n, k, d] s[n + h, k, d]` for every lag h, `[K, n, D]`."""
     count = len(scores)
     spectrum = np.fft.rfft(scores, 2 * count, axis=0)
-    power = (spectrum.real**2 + spectrum.imag**2).sum(2)
-    return np.asarray(np.fft.irfft(power, axis=0)[:count].T)
+    power = spectrum.real**2 + spectrum.imag**2
+    return np.fft.irfft(power, axis=0)[:count].transpose(1, 0, 2)
 
 
 def _correlation_time(correlation: np.ndarray, gamma: float, rows: int) -> float:
@@ -217,8 +215,8 @@ def _correlation_time(correlation: np.ndarray, gamma: float, rows: int) -> float
     return float(max(bartlett, sokal, 1.0) / max(1 - gamma * window / rows, 0.5))
 
 
-def _padded(rows: np.ndarray, length: int) -> np.ndarray:
-    return np.pad(rows, ((0, 0), (0, length - rows.shape[1])))
+def _padded(products: np.ndarray, length: int) -> np.ndarray:
+    return np.pad(products, ((0, 0), (0, length - products.shape[1]), (0, 0)))
 
 
 def _groups(network: Network) -> tuple[Tensor, Tensor]:

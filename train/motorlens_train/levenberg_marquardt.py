@@ -165,14 +165,16 @@ class Reduced:
         followers = torch.linalg.solve_triangular(inner.transpose(1, 2), halves, upper=True)
         matrix = sums.hidden - tied
         matrix.diagonal().add_(prior)
-        return Reduced(0.5 * (matrix + matrix.T), slope + prior * network.hidden, inner, followers)
+        return Reduced(matrix, slope + prior * network.hidden, inner, followers)
 
     def solve(self, damping: float, network: Network, precision: Tensor, batch: Batch) -> Tensor | None:
         """The step `[P_h]` for one damping with its geodesic correction; None if it takes more damping."""
         diagonal = self.matrix.diagonal()
         scale = diagonal.clamp_min(1e-6 * float(diagonal.max()))
+        system = self.matrix.clone()
+        system.diagonal().add_(scale, alpha=damping)
         factor: Tensor
-        factor, failed = torch.linalg.cholesky_ex(self.matrix + damping * torch.diag(scale))
+        factor, failed = torch.linalg.cholesky_ex(system)
         if bool(failed):
             return None
         velocity = -torch.cholesky_solve(self.slope[:, None], factor)[:, 0]

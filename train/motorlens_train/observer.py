@@ -56,7 +56,9 @@ class ObserverSettings:
         bend_sd: what the corrections for a current that bends within a window are good to, as a share of them.
         rise_K, rise_sd_K: the winding at the start; None: three tenths of the rated rise, 1.5 times that.
         rest: share of the rated speed below which the load is whatever the motor's torque asks for.
-        tolerances: parameters that differ from motor to motor: key and standard deviation, relative.
+        tolerances: parameters that differ from motor to motor: key and standard deviation, relative. Each is a state that
+            the observer finds, but for R_a0: from a resistance alone a cold motor of a higher R_a0 is a warm one. It is
+            taken to be as the file says, and the temperature to be as unsure as that makes it.
     """
 
     voltage_sd: float | None = None
@@ -96,9 +98,9 @@ class _Design:
         self.period = settings.period_s or min(0.01, 0.1 * m.R_a0 * m.J / m.ke**2)
         self.v_sd = settings.voltage_sd or 0.002 * rated.voltage_V
         self.i_sd = settings.current_sd or 0.007 * rated.current_A
-        self.system: Equations = equations(m, [key for key, _ in settings.tolerances])
         # The current is an input; a parameter that varies is a constant state.
-        self.parameters = tuple(key for key, _ in settings.tolerances)
+        self.parameters = tuple(key for key, _ in settings.tolerances if key != "R_a0")
+        self.system: Equations = equations(m, self.parameters)
         self.states = (*self.system.states[1:], *self.parameters)
         self.symbols = [*self.system.x[1:], *(self.system.free[key] for key in self.parameters)]
         self.at = {name: k for k, name in enumerate(self.states)}
@@ -107,7 +109,7 @@ class _Design:
         rise_sd = 0.45 * rated.rise_K if settings.rise_sd_K is None else settings.rise_sd_K
         start = {"theta": rise} | {key: values[key] for key in self.parameters}
         sd = {"w": rated.speed_rad_s / 4, "theta": rise_sd, "load": rated.torque_Nm}
-        sd |= {key: share * abs(values[key]) for key, share in settings.tolerances}
+        sd |= {key: share * abs(values[key]) for key, share in settings.tolerances if key != "R_a0"}
         self.start = [start.get(name, 0.0) for name in self.states]
         self.sd = [sd.get(name, 0.0) for name in self.states]
         self.pairs = [(a, b) for a in range(len(self.states)) for b in range(a, len(self.states))]
@@ -313,6 +315,10 @@ class _Design:
         variances = {
             "speed": P[w][w], "temperature": P[theta][theta], "resistance": self._resistance_variance(r, x, P)
         }  # fmt: skip
+        # R_a0 that is off by a share moves the temperature by that share of 1/alpha + theta.
+        unknown = dict(self.settings.tolerances).get("R_a0", 0.0)
+        apart = (x[theta] + 1 / self.motor.alpha) * unknown
+        variances["temperature"] = variances["temperature"] + apart * apart
         sizes = {
             "speed": self.rated.speed_rad_s, "temperature": self.rated.rise_K,
             "resistance": self.motor.R_a0 * self.motor.alpha * self.rated.rise_K,

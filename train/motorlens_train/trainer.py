@@ -42,6 +42,8 @@ from motorlens_train.state import Record, State, load_checkpoint, save_checkpoin
 CHUNK = 2048
 # Iterations before the evidence may move alpha and beta: at the start neither weights nor errors mean anything.
 FREE = 2
+# Points at which the autocorrelation time is taken.
+POINTS = 48
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,7 @@ class _Run:
         quiet = state.quiet + 1 if self._little(point, taken.point, batch, state.gamma) else 0
         hyper, gamma, found = state.hyper, state.gamma, None
         # The inverse of H costs as much as half a small stage's iteration: not after every step.
-        if state.iteration % 3 == 0 or quiet or stuck:
+        if state.iteration % 3 == FREE or quiet or stuck:
             gamma, log_det = taken.reduced.determined(point.network, hyper)
             found = log_evidence(point.network, log_det, point.moments, hyper)
         if state.iteration >= FREE or quiet:
@@ -305,7 +307,8 @@ class _Run:
             (self.inputs.scale(x.double()), self.targets.scale(y.double()))
             for x, y in self.source.runs(32768, 8192)
         )
-        return score_autocorrelation(point.network, found, runs, np.random.default_rng([self.seed, 3]))
+        points, _ = self.source.sample(POINTS, np.random.default_rng([self.seed, 3]))
+        return score_autocorrelation(point.network, found, runs, self.inputs.scale(points.double()))
 
     def _recorded(
         self,

@@ -193,7 +193,7 @@ def _states(effect: Effect, trajectory: Trajectory, u: Any) -> Any:
     return x
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _integrate(time, a, b, first):  # type: ignore[no-untyped-def]
     s = np.empty(len(time))
     s[0] = first

@@ -15,6 +15,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, candidates, curves
+from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
 from motorlens_workbench.evidence import Evidence, statistics
 from motorlens_workbench.fitting import (
     Fit,
@@ -122,6 +123,7 @@ class Finding:
         failed: candidates whose refit did not do what the screen promised.
         whole: free curves that explain what the base model lacks, if any is left in the end; the strongest first.
         left: free curves that explain what the final model lacks.
+        dead: channels that follow nothing, left out of all the rest.
     """
 
     runs: tuple[Run, ...]
@@ -132,6 +134,7 @@ class Finding:
     failed: tuple[str, ...]
     whole: tuple[Bend, ...] = ()
     left: tuple[Bend, ...] = ()
+    dead: tuple[DeadChannel, ...] = ()
 
 
 def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> Look:
@@ -168,7 +171,12 @@ def investigate(
     """
     runs = tuple(prepare(recording, file) for recording in recordings)
     say("fitting the base parameters")
-    base, runs = base_fit(file, runs)
+    base, used = base_fit(file, runs)
+    dead = dead_channels(file, base, used)
+    if dead:
+        say(f"leaving out the {' and the '.join(f'{one.channel} of {one.recording}' for one in dead)}")
+        base, used = base_fit(file, without(runs, dead))
+    runs = used
     say("screening all effects and sensor faults")
     first = current = look(base, runs, own)
     steps: list[Step] = []
@@ -184,7 +192,7 @@ def investigate(
     say("looking at what is left")
     left = leftover(current.found, runs, current.decoy)
     whole = leftover(first.found, runs, first.decoy) if steps and left else left
-    return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left))
+    return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left), dead)
 
 
 def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]]:

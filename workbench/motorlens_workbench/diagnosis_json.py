@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from motorlens_workbench.candidates import Curve
+from motorlens_workbench.dead_channels import DeadChannel
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.experiments import Experiment
 from motorlens_workbench.selection import Test
@@ -28,7 +29,10 @@ def to_json(
         "chosen": list(verdict.chosen),
         "groups": [list(group) for group in verdict.groups],
         "equation": verdict.equation,
-        "candidates": [_candidate(found, verdict, name) for name in ranked(found, verdict)],
+        "candidates": [
+            *(_dead(one) for one in found.dead),
+            *(_candidate(found, verdict, name) for name in ranked(found, verdict)),
+        ],
         "error": errors(found),
         "cannot_tell": list(verdict.untold),
     }
@@ -50,7 +54,7 @@ def ranked(found: Finding, verdict: Verdict) -> list[str]:
     """Candidates, the accepted first, then by probability and by what the first screen says."""
     first = {**found.last.tests, **found.first.tests}
     return sorted(
-        first,
+        first.keys() - {one.name for one in found.dead},
         key=lambda name: (
             name not in verdict.chosen,
             -verdict.probability.get(name, 0.0),
@@ -64,6 +68,14 @@ def errors(found: Finding) -> dict[str, Any]:
     before = held_out(found.first, found)
     after = held_out(found.last, found) if found.steps else before
     return {"before": before, "after": after, "noise_floor": noise_floor(found.last, found), "held_out": True}
+
+
+def _dead(one: DeadChannel) -> dict[str, Any]:
+    return {
+        "name": one.name, "kind": "sensor", "equation": one.channel, "gain": 0.0, "statistic": 0.0, "p": 0.0,
+        "probability": 0.99, "parameters": {"gain": {"value": one.gain, "sd": one.sd, "unit": "1"}},
+        "minimum_detectable": None, "why_not": "",
+    }  # fmt: skip
 
 
 def _candidate(found: Finding, verdict: Verdict, name: str) -> dict[str, Any]:
@@ -108,7 +120,15 @@ def _rmse(found: Finding, residuals: Sequence[Any]) -> dict[str, float]:
 def sentence(found: Finding, verdict: Verdict) -> str:
     """The verdict in one sentence."""
     words = {name: name.replace("_", " ") for name in found.first.tests}
-    said = [f"{words.get(name, name)}{_size(found, name)}" for name in verdict.chosen]
+    said = [f"{words.get(name, name.replace('_', ' '))}{_size(found, name)}" for name in verdict.chosen]
+    if found.dead:
+        dead = [f"{one.channel} sensor of {one.recording} (dead, gain {one.gain:.2f})" for one in found.dead]
+        names = {one.name for one in found.dead}
+        others = [
+            " or ".join(words.get(n, n) for n in group) for group in verdict.groups if group[0] not in names
+        ]
+        beside = f". Missing beside: {'; and '.join(others)}" if others else ""
+        return f"At fault: {' and '.join(dead)}{beside}."
     if verdict.kind in ("named", "sensor_fault"):
         what = "Missing" if verdict.kind == "named" else "At fault"
         return f"{what}: {' and '.join(said)}."

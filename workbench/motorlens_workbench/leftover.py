@@ -92,7 +92,7 @@ def bends_of(left: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
 
 
 def _disturbance(curve: Curve) -> bool:
-    """A voltage or a torque that goes with time alone, or with the temperature that rises with it, need not be the motor's."""
+    """A voltage or a torque that goes with time, or the temperature that rises with it, need not be the motor's."""
     return curve.against == "time" or (curve.against == "temperature" and curve.balance != "heat")
 
 

@@ -5,7 +5,7 @@ would explain much better (else it is unknown, and the shape of what is missing 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,27 @@ class Verdict:
 
 def settle(found: Finding) -> Verdict:
     """Decide."""
+    verdict = _of_the_living(found)
+    return _with_the_dead(verdict, found) if found.dead else verdict
+
+
+def _with_the_dead(verdict: Verdict, found: Finding) -> Verdict:
+    """A dead sensor comes before all that its recordings may say beside."""
+    names = tuple(dict.fromkeys(one.name for one in found.dead))
+    others = tuple(name for name in verdict.chosen if name not in names)
+    groups = tuple(group for group in verdict.groups if group[0] in others)
+    return replace(
+        verdict,
+        kind="sensor_fault",
+        chosen=(*names, *others),
+        groups=(*((name,) for name in names), *groups),
+        equation=verdict.equation or found.dead[0].channel,
+        probability={**verdict.probability, **dict.fromkeys(names, 0.99)},
+        shape=None,
+    )
+
+
+def _of_the_living(found: Finding) -> Verdict:
     groups = tuple(group_of(step) for step in found.steps)
     chosen = tuple(step.test.candidate.name for step in found.steps)
     bend = structure(found)
@@ -116,7 +137,7 @@ def _detectable(now: Look, test: Test) -> bool:
 
 def limits(found: Finding) -> list[str]:
     """What the recordings cannot tell, in words."""
-    said = []
+    said = [one.sentence for one in found.dead]
     channels = {channel for run in found.runs for channel in run.channels}
     known = {quantity for run in found.runs for quantity in run.known}
     if "temperature" not in channels:
@@ -150,6 +171,9 @@ def limits(found: Finding) -> list[str]:
 
 def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
     """Parameters of an accepted effect with standard deviation and unit; of another candidate what the screen says."""
+    for one in found.dead:
+        if one.name == name:
+            return {"gain": {"value": one.gain, "sd": one.sd, "unit": "1"}}
     for step in found.steps:
         if step.test.candidate.name != name:
             continue

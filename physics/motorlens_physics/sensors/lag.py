@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
+from numba import njit
 
 from motorlens_physics.parameter import Parameter, param
 from motorlens_physics.sensor_model import Array, SensorModel
@@ -39,8 +40,6 @@ class SensorLag(SensorModel):
         return shown + self.tau * rate
 
     def record(self, time_s: Array, y: Array, rng: np.random.Generator) -> Array:
-        from scipy.signal import lfilter
-
         if self.tau == 0 or len(y) < 2:
             return y.copy()
         # On a ramp the sensor settles tau times the slope behind; only the distance from there decays. Before the first
@@ -49,12 +48,13 @@ class SensorLag(SensorModel):
         keep = np.exp(-dt / self.tau)
         slope = np.diff(y) / dt
         settled = y[:-1] - self.tau * slope
-        drive = settled * (1 - keep) + slope * dt
-        shown = np.empty_like(y)
-        shown[0] = y[0]
-        if np.ptp(dt) < 1e-7 * dt[0]:
-            shown[1:] = lfilter([1.0], [1.0, -keep[0]], drive, zi=[keep[0] * y[0]])[0]
-            return shown
-        for k in range(len(dt)):
-            shown[k + 1] = keep[k] * shown[k] + drive[k]
-        return shown
+        return np.asarray(_decayed(keep, settled * (1 - keep) + slope * dt, float(y[0])))
+
+
+@njit(cache=True, nogil=True)
+def _decayed(keep, drive, first):  # type: ignore[no-untyped-def]
+    shown = np.empty(len(drive) + 1)
+    shown[0] = first
+    for k in range(len(drive)):
+        shown[k + 1] = keep[k] * shown[k] + drive[k]
+    return shown

@@ -16,7 +16,7 @@ from motorlens_runtime.estimator import Estimates
 from motorlens_runtime.parquet_folder import ParquetFolder
 from motorlens_runtime.publish import Header, Publisher, file_of, options_of
 
-_ROWS_PER_GROUP = 1 << 16
+_ROWS_PER_GROUP = 1 << 15
 
 
 def open_url(url: SplitResult, header: Header) -> Publisher:

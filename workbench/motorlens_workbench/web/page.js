@@ -253,6 +253,7 @@ function report(step, parent, opened) {
     if (box_.open && !box_.querySelector("iframe")) {
       const frame = make("iframe", null, box_);
       frame.title = `Report of ${step.command}`;
+      frame.loading = "lazy"; // it is drawn for the width it is seen at
       frame.src = path;
     }
   };

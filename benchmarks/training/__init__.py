@@ -1,0 +1,1 @@
+"""Task and peers of benchmarks/trainer.py."""

@@ -1,0 +1,132 @@
+"""Channels that show nothing of what they should: a sensor that died, a wire that fell off, an amplifier full of noise.
+
+The least squares of a whole model would spend its parameters on such a channel, so it is looked for first: the textbook is
+fitted to the other channels alone, and what it then says of the one left out is compared with what that one shows. A channel
+of which nothing follows, while the others follow the model, has a gain of about zero (Isermann 2006, Fault-Diagnosis
+Systems, ISBN 978-3-540-24112-6, section 10.1: parity with a model of the process).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.motor_file import MotorFile
+from motorlens_runtime.errors import ModelError
+from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
+from motorlens_workbench.model import predict
+from motorlens_workbench.run import Run
+
+Array = NDArray[np.float64]
+
+# What a winding's temperature will be is not known well enough beforehand to call its sensor dead.
+PREDICTABLE = ("current", "speed")
+# Share of a channel's variance that the whole model explains, above which nobody would call it dead.
+ALIVE = 0.25
+# Gain below which, with all its uncertainty, a channel is dead.
+DEAD = 0.25
+# Share of the other channels' variance that the model must explain, for its word to count against the one left out.
+TRUSTED = 0.8
+# What is predicted for the channel must stand out of what the channel shows beside.
+VISIBLE = 0.3
+
+
+@dataclass(frozen=True)
+class DeadChannel:
+    """A channel that does not follow.
+
+    Attributes:
+        run: which recording.
+        recording: its name.
+        channel: "current" or "speed".
+        gain: shown over predicted.
+        sd: its standard deviation.
+    """
+
+    run: int
+    recording: str
+    channel: str
+    gain: float
+    sd: float
+
+    @property
+    def name(self) -> str:
+        """The fault in the catalogue: a gain of about zero."""
+        return f"{self.channel}_sensor_gain"
+
+    @property
+    def sentence(self) -> str:
+        """For the reader."""
+        return (
+            f"The {self.channel} sensor of {self.recording} is dead: what it shows follows the {self.channel} that the "
+            f"other channels demand with a gain of {self.gain:.2f} +- {self.sd:.2f}. It was left out of the rest."
+        )
+
+
+def dead_channels(file: MotorFile, base: Fit, runs: Sequence[Run]) -> tuple[DeadChannel, ...]:
+    """Channels whose content the other channels contradict; `base` is the fit to all of them, from the motor file."""
+    found = []
+    for r, run in enumerate(runs):
+        for channel in run.channels:
+            if channel not in PREDICTABLE or len(run.channels) < 2:
+                continue
+            c = run.channels.index(channel)
+            shown = run.average(run.measured)[run.fresh(), c]
+            if 1 - np.var(base.residuals[r][run.fresh(), c]) / max(float(np.var(shown)), 1e-300) > ALIVE:
+                continue
+            dead = _judge(file, base.model.held[r], run, r, channel)
+            if dead is not None:
+                found.append(dead)
+    return tuple(found)
+
+
+def without(runs: Sequence[Run], dead: Sequence[DeadChannel]) -> tuple[Run, ...]:
+    """The runs with their dead channels left out."""
+    kept = list(runs)
+    for one in dead:
+        kept[one.run] = left_out(kept[one.run], one.channel)
+    return tuple(kept)
+
+
+def left_out(run: Run, channel: str) -> Run:
+    """A run without one of its channels."""
+    keep = [c for c, name in enumerate(run.channels) if name != channel]
+    return replace(
+        run,
+        channels=tuple(run.channels[c] for c in keep),
+        measured=run.measured[:, keep],
+        floor=run.floor[keep],
+    )
+
+
+def _judge(file: MotorFile, held: bool, run: Run, r: int, channel: str) -> DeadChannel | None:
+    others = left_out(run, channel)
+    begun = replace(start_model(file, [others]), held=(held,))
+    try:
+        alone = fit(begun, [others], base_prior(file, [others]))
+        said = predict(alone.model, run, 0)[1]
+    except ModelError:
+        return None
+    fresh = run.fresh()
+    for c, name in enumerate(others.channels):
+        y = others.average(others.measured)[fresh, c]
+        if name in PREDICTABLE and np.var(alone.residuals[0][fresh, c]) > (1 - TRUSTED) * np.var(y):
+            return None
+    c = run.channels.index(channel)
+    x, y = run.average(said)[fresh, c], run.average(run.measured)[fresh, c]
+    x, y = x - x.mean(), y - y.mean()
+    if np.std(x) < VISIBLE * np.std(y):
+        return None
+    gain = float(x @ y / (x @ x))
+    left = y - gain * x
+    # What is left may be coloured: by blocks, not by samples.
+    scores = [float(part_x @ part_y) for part_x, part_y in zip(_blocks(x), _blocks(left), strict=True)]
+    sd = float(np.sqrt(np.sum(np.square(scores))) / (x @ x))
+    if abs(gain) + 2 * sd > DEAD:
+        return None
+    return DeadChannel(r, run.name, channel, gain, sd)
+
+
+def _blocks(y: Array) -> list[Array]:
+    return np.array_split(y, 32)
