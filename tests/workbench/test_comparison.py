@@ -179,7 +179,7 @@ def test_the_page_stands_alone() -> None:
     without_library = re.sub(r"<script>.*?</script></head>", "", text, count=1, flags=re.DOTALL)
     assert "http" not in without_library.replace("http-equiv", "")
     assert "The model follows these recordings to their noise" in without_library
-    assert without_library.count("picture(\"picture") >= 5
+    assert without_library.count('picture("picture') >= 5
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,6 +54,8 @@ from motorlens_workbench.selection import (
 Array = NDArray[np.float64]
 
 MOST = 3
+# By how much (logarithm of the error of a channel) another way to take the inputs must be better than the recorded one.
+BETTER_WAY = 0.0025
 # 2 log likelihood by which a more involved effect must be better than a simpler one.
 AS_GOOD = 6.0
 
@@ -202,34 +204,39 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
     applied, is not written in a recording; the better fit decides.
     """
     prior = base_prior(file, runs)
-    found = fit(start_model(file, runs), runs, prior)
+    quieter = tuple(run.quieter() for run in runs)
+    # Parameters fitted to noisy inputs have made up for the noise: each way is judged by a fit of its own as well.
+    fits = [fit(start_model(file, taken), taken, prior) for taken in dict.fromkeys((tuple(runs), quieter))]
     chosen, held = [], []
-    for r, run in enumerate(runs):
-        ways = [(run, h) for h in (found.model.held[r], not found.model.held[r])]
-        quiet = run.quieter()
-        ways += [(quiet, h) for _, h in ways] if quiet is not run else []
-        errors = [_error_of(found, run, one, h, r) for one, h in ways]
+    for r, (run, quiet) in enumerate(zip(runs, quieter, strict=True)):
+        shown = fits[0].model.held[r]
+        ways = [(one, h) for one in dict.fromkeys((run, quiet)) for h in (shown, not shown)]
+        errors = np.min([[_error_of(found, one, h, r) for one, h in ways] for found in fits], axis=0)
         # The way as recorded stays unless another is clearly better.
-        best = int(np.argmin([errors[0] * 0.995, *errors[1:]]))
-        chosen.append(ways[best][0])
-        held.append(ways[best][1])
-    if tuple(held) != found.model.held or any(one is not run for one, run in zip(chosen, runs, strict=True)):
-        found = fit(replace(found.model, held=tuple(held)), chosen, prior)
-    return found, tuple(chosen)
+        errors[0] -= BETTER_WAY * len(run.channels)
+        slow, fast = errors[:, 0].reshape(-1, 2), errors[:, 1].reshape(-1, 2)
+        held.append((shown, not shown)[int(np.argmin(slow.min(axis=0)))])
+        # Smoothing leaves slow errors of its own: what is fast tells whether the noise was truly applied.
+        noisy = len(fast) > 1 and fast[1].min() < fast[0].min()
+        rough = replace(run, input_noise=quiet.input_noise) if noisy else run
+        chosen.append(quiet if noisy and slow[1].min() < slow[0].min() else rough)
+    model = fits[-1 if any(run.smooth for run in chosen) else 0].model
+    return fit(replace(model, held=tuple(held)), chosen, prior), tuple(chosen)
 
 
-def _error_of(found: Fit, run: Run, way: Run, held: bool, r: int) -> float:
-    """Whitened sum of squares of a run with its inputs taken another way."""
+def _error_of(found: Fit, way: Run, held: bool, r: int) -> tuple[float, float]:
+    """Logarithm of the error of a run with its inputs taken this way, and of its change from row to row."""
     # Without the skews, which have made up for the wrong way by half a sample.
     straight = {key: 0.0 for key in found.prior.keys if key.startswith("skew.")}
     model = replace(
         found.model, held=tuple(held if k == r else h for k, h in enumerate(found.model.held))
     ).with_values(straight)
     try:
-        residual = way.average(way.measured - predict(model, way, r)[1])
+        residual = way.average(way.measured - predict(model, way, r)[1])[way.fresh()]
     except ModelError:
-        return float("inf")
-    return squares([residual], [run], [found.whiteners[r]])
+        return float("inf"), float("inf")
+    size = [np.mean(e**2, axis=0) + way.floor**2 for e in (residual, np.diff(residual, axis=0))]
+    return float(np.sum(0.5 * np.log(size[0]))), float(np.sum(0.5 * np.log(size[1])))
 
 
 def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:

@@ -23,8 +23,10 @@ from motorlens_workbench.variation import Variation, variations
 Array = NDArray[np.float64]
 
 BALANCES = ("voltage", "torque", "heat")
-# Standard deviations beyond chance at which a free curve counts.
-BENT = 8.0
+# A free curve counts if it is this many standard deviations beyond chance, explains this many times what counts as real, and
+# has one knot that is real by itself; or else, of a curve that bends everywhere a little, more of the former.
+BENT, EXPLAINS = 8.0, 3.0
+BENT_AT_LARGE, EXPLAINS_AT_LARGE = 12.0, 6.0
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,7 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     return [
         bend
         for bend in bends_of(left, free)
-        if bend.deviations > BENT
-        and _believable(bend, found.model.file.rated)
-        and bend.gain > 2 * max(REAL, decoy)
-        and bend.best > max(REAL, 3 * decoy)
+        if _believable(bend, found.model.file.rated) and _beyond_chance(bend, decoy)
     ]
 
 
@@ -89,6 +88,19 @@ def bends_of(left: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
         best = max(single[name] for name in tested.names)
         found.append(Bend(curve, gain, deviations, best, curve.knots[at], tested.coefficient, spread))
     return sorted(found, key=lambda bend: -bend.gain)
+
+
+def _beyond_chance(bend: Bend, decoy: float) -> bool:
+    at_one = (
+        bend.deviations > BENT
+        and bend.gain > EXPLAINS * max(REAL, decoy)
+        and bend.best > max(REAL, 3 * decoy)
+    )
+    return at_one or (
+        bend.deviations > BENT_AT_LARGE
+        and bend.gain > EXPLAINS_AT_LARGE * max(REAL, decoy)
+        and bend.best > max(REAL / 2, 2 * decoy)
+    )
 
 
 def _disturbance(curve: Curve) -> bool:

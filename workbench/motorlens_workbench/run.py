@@ -27,7 +27,7 @@ ROWS = 30_000
 AMBIENT_S = 60.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """One recording, prepared.
 
@@ -42,7 +42,8 @@ class Run:
         known: which inputs were recorded beside the voltage.
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
-        input_noise: of the voltage (V) and the load torque (N m), if it was smoothed away as far as it can be.
+        input_noise: of the voltage (V) and the load torque (N m), where it is their sensors' and was not truly applied.
+        smooth: whether it was smoothed away as far as it can be.
         input_step: the least significant bit of either, 0 if continuous.
     """
 
@@ -58,6 +59,7 @@ class Run:
     angle: Array | None = None
     input_noise: tuple[Noise, Noise] = (Noise(), Noise())
     input_step: tuple[float, float] = (0.0, 0.0)
+    smooth: bool = False
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -90,7 +92,7 @@ class Run:
             shown, voltage_V=smoothed(shown.voltage_V), load_torque_Nm=smoothed(shown.load_torque_Nm)
         )
         noise = (noise_of_input(shown.voltage_V), noise_of_input(shown.load_torque_Nm))
-        return replace(self, inputs=smooth, input_noise=noise)
+        return replace(self, inputs=smooth, input_noise=noise, smooth=True)
 
     @property
     def disturbed(self) -> bool:
@@ -115,7 +117,7 @@ class Run:
                 # The same converter with its levels shifted: errors that last as long as a level is held.
                 shift = sign * step * rng.uniform(-0.5, 0.5)
                 noisy = np.round((noisy + shift) / step) * step - shift
-            stirred.append(smoothed(noisy) if noise else noisy)
+            stirred.append(smoothed(noisy) if noise and self.smooth else noisy)
         voltage, load = stirred
         return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
 

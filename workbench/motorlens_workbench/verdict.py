@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motorlens_workbench.diagnosis import Bend, Finding, Look, Step
+from motorlens_workbench.evidence import score
 from motorlens_workbench.screen import held_out_rmse
 from motorlens_workbench.selection import WORTH, Test
 
@@ -177,19 +178,13 @@ def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
     for step in found.steps:
         if step.test.candidate.name != name:
             continue
-        last = found.last.found
-        spread = last.sd()
-        score = step.test.score
-        assert score is not None
-        values = last.model.file.values()
+        file = found.last.found.model.file
         return {
-            key.rpartition(".")[2]: {
-                "value": values[key],
-                "sd": spread.get(key, 0.0) * float(np.sqrt(score.inflation)),
-                "unit": last.model.file.meaning(key).unit,
-            }
-            for key in values
-            if key.startswith(f"{name}.") and key in spread
+            key.rpartition(".")[2]: dict(
+                zip(("value", "sd"), measured(found.last, key), strict=True), unit=file.meaning(key).unit
+            )
+            for key in found.last.found.prior.keys
+            if key.startswith(f"{name}.")
         }
     test = found.first.tests.get(name) or found.last.tests.get(name)
     if test is None or test.score is None:
@@ -198,6 +193,16 @@ def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
     assert switch is not None and switch.null is not None
     sd = abs(test.typical) * float(np.sqrt(test.score.covariance[0, 0]))
     return {switch.name: {"value": switch.null + test.size, "sd": sd, "unit": switch.unit}}
+
+
+def measured(now: Look, key: str) -> tuple[float, float]:
+    """A fitted parameter and its standard deviation: scatter between blocks, and half the bias of input errors."""
+    prior = now.found.prior
+    tested = score(now.evidence.given([other for other in prior.keys if other != key]), [key])
+    value, unit = now.found.model.values()[key], prior.sd[key]
+    if tested is None:
+        return value, unit
+    return value, unit * float(np.hypot(np.sqrt(tested.covariance[0, 0]), 0.5 * tested.coefficient[0]))
 
 
 def held_out(now: Look, found: Finding) -> dict[str, float]:
