@@ -130,7 +130,8 @@ def device(rate: int, n: int, seconds: float, stamps: str) -> int:
         while data:
             if not writable.poll(5000):
                 return 1  # nobody reads any more
-            data = data[os.write(master, data) :]
+            with suppress(BlockingIOError):  # poll says so even where only a part of it fits
+                data = data[os.write(master, data) :]
     np.save(stamps, sent)
     sys.stdin.read()  # hold the port until the other side is done
     return 0

@@ -17,12 +17,12 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum, IntFlag
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.crc32 import crc32_rows
 from motorlens_runtime.errors import DataError
 
 VERSION = 1
@@ -355,32 +355,6 @@ class HelloAssembler:
             return None
         text, self._pieces, self._count = b"".join(self._pieces), [], 0
         return Hello.from_json(text)
-
-
-def crc32_rows(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """CRC-32 of each row of shape (m, length), shape (m,).
-
-    The CRC is affine over GF(2): the exclusive or of one table entry per byte position, and of the CRC of zeros.
-    """
-    length = rows.shape[1]
-    tables = _position_tables(length)
-    crc = np.full(len(rows), binascii.crc32(bytes(length)), dtype=np.uint32)
-    for position in range(length):
-        crc ^= tables[position][rows[:, position]]
-    return crc
-
-
-@lru_cache(maxsize=32)
-def _position_tables(length: int) -> NDArray[np.uint32]:
-    table = np.arange(256, dtype=np.uint32)
-    for _ in range(8):
-        table = np.where(table & 1, table >> 1 ^ np.uint32(0xEDB88320), table >> 1)
-    tables = np.empty((length, 256), dtype=np.uint32)
-    entry = table
-    for position in reversed(range(length)):
-        tables[position] = entry
-        entry = table[entry & 0xFF] ^ entry >> 8  # the same byte with one more zero byte after it
-    return tables
 
 
 def _run_of(frames: Sequence[Frame], length: int) -> FrameRun:

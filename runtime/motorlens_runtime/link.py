@@ -6,12 +6,11 @@ exactly on its grid; a later stamp is a gap; a restart goes on by the time that 
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.columns import Column, understand
+from motorlens_runtime.columns import understand
 from motorlens_runtime.dialects import Dialect
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.framing import (
@@ -26,6 +25,7 @@ from motorlens_runtime.framing import (
 )
 from motorlens_runtime.gate import Samples
 from motorlens_runtime.quality import Quality
+from motorlens_runtime.scaling import SATURATED, Scaling
 
 # Runs of frames kept until HELLO tells what they mean.
 _KEPT_RUNS = 4096
@@ -34,8 +34,9 @@ _ON_GRID_NS = 1_500
 # A stamp this far in the past is a restarted clock, not a frame that comes late.
 _RESTART_NS = 1_000_000_000
 _WRAP_NS = (1 << 32) * 1000
+# Up to so many samples, plain numbers are faster than arrays.
+_FEW = 16
 _ONE = np.ones(1, dtype=bool)
-_SATURATED = np.uint32(Quality.SATURATED)
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Link(Dialect):
         self.complaint: str | None = None
         self._decoder = Decoder()
         self._assembler = HelloAssembler()
-        self._scaling: _Scaling | None = None
+        self._scaling: Scaling | None = None
         self._early: deque[FrameRun] = deque(maxlen=_KEPT_RUNS)
         self._sequence: int | None = None
         # The grid: its anchor on the continuous time, and how many samples since; the raw stamp expected next.
@@ -140,8 +141,10 @@ class Link(Dialect):
         self._count += n
         self._count_of["samples"] += n
         self._last_arrival_ns = now_ns
-        codes = np.frombuffer(payload, dtype=scaling.layout, offset=2).reshape(n, -1)
-        return scaling.samples(codes, np.array(times, dtype=np.int64))
+        codes = np.frombuffer(payload, dtype=scaling.layout, offset=2)
+        stamps = np.array(times, dtype=np.int64)
+        few = scaling.few(codes, stamps) if n <= _FEW else None
+        return scaling.samples(codes.reshape(n, -1), stamps) if few is None else few
 
     def _take(self, run: FrameRun, parts: list[Samples], now_ns: int) -> None:
         kind = int(run.kind[0])
@@ -180,7 +183,7 @@ class Link(Dialect):
             self._restarted = True
         if self.hello is not None and hello.rate_Hz != self.hello.rate_Hz:
             self._anchor_ns, self._count = self._next_ns(), 0
-        self.hello, self.complaint, self._scaling = hello, None, _Scaling(hello, columns)
+        self.hello, self.complaint, self._scaling = hello, None, Scaling(hello, columns)
 
     def _follow_sequence(self, run: FrameRun) -> None:
         if len(run) == 1:
@@ -221,7 +224,7 @@ class Link(Dialect):
         codes = np.ascontiguousarray(run.payload[:, 2:]).view(self._scaling.layout).reshape(len(run) * n, -1)
         samples = self._scaling.samples(codes, times)
         if samples.flags is not None and not self._scaling.rails_known:
-            samples.flags[np.repeat(run.flags & Flag.SATURATED > 0, n)] |= _SATURATED
+            samples.flags[np.repeat(run.flags & Flag.SATURATED > 0, n)] |= SATURATED
         self._count_of["samples"] += len(samples)
         parts.extend(_with_rests(samples, rests))
 
@@ -301,46 +304,6 @@ class Link(Dialect):
             self._anchor_ns + whole * (10**9 * denominator) + part * (10**9 * denominator) // numerator
         )
         return times
-
-
-class _Scaling:
-    """What HELLO says of the numbers in SAMPLES, as arrays with a row for each quantity that is used."""
-
-    def __init__(self, hello: Hello, columns: dict[str, Column]) -> None:
-        used = [hello.channels[column.index] for column in columns.values()]
-        self.schema, self.layout = hello.schema, SAMPLE_TYPES[hello.channels[0].type]
-        self.width = len(hello.channels) * self.layout.itemsize
-        self.rate = hello.rate_Hz[0], 10**9 * hello.rate_Hz[1]
-        self.rails_known = any(c.minimum is not None or c.maximum is not None for c in used)
-        self._quantities = list(columns)
-        self._index = np.array([column.index for column in columns.values()])
-        self._scale, self._offset, self._factor, self._shift, self._least, self._most = (
-            np.array(values, dtype=np.float64)[:, None]
-            for values in (
-                [c.scale for c in used],
-                [c.offset for c in used],
-                [column.factor for column in columns.values()],
-                [column.offset for column in columns.values()],
-                [-np.inf if c.minimum is None else c.minimum for c in used],
-                [np.inf if c.maximum is None else c.maximum for c in used],
-            )
-        )
-        self._flags = np.uint32(Quality.SIMULATED if hello.simulated else 0)
-
-    def samples(self, codes: NDArray[Any], times: NDArray[np.int64]) -> Samples:
-        """Samples of codes (n, channels)."""
-        code = codes.T[self._index].astype(np.float64)
-        flags = np.full(len(times), self._flags)
-        if self.rails_known:
-            at_rail = (code <= self._least) | (code >= self._most)
-            if at_rail.any():
-                flags[at_rail.any(axis=0)] |= _SATURATED
-        code *= self._scale
-        code += self._offset
-        code *= self._factor
-        code += self._shift
-        values = dict(zip(self._quantities, code, strict=True))
-        return Samples(times, values["voltage"], values["current"], values.get("ambient"), flags)
 
 
 def _chosen(run: FrameRun, rows: NDArray[np.bool_]) -> FrameRun:

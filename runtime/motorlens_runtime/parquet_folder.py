@@ -17,9 +17,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from motorlens_runtime.crc32 import crc32_rows
 from motorlens_runtime.errors import DeviceError
 from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.framing import crc32_rows
 
 
 class ParquetFolder:

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.crc32 import crc32_rows
 from motorlens_runtime.errors import DataError, DeviceError
-from motorlens_runtime.framing import crc32_rows
 
 # magic, version, number of outputs, capacity in rows, offset of the first row, length of the JSON, process of the writer
 HEADER = struct.Struct("<8sIIIIII")

@@ -233,3 +233,41 @@ def test_whatever_comes_time_never_runs_backwards(seed, garbage):
         now += int(rng.integers(10**8))
         times.append(link.feed(piece, now).time_ns)
     assert (np.diff(np.concatenate(times)) >= 0).all()
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.sampled_from(["i2", "f4"]), st.sampled_from([1, 3, 16, 19]), st.booleans(), st.booleans(), st.integers(0, 2**32 - 1)
+)  # fmt: skip
+def test_frame_by_frame_is_as_all_at_once(kind, n, rails, ambient, seed):
+    """The short way of a frame that is expected, and the long way, to the bit and with the same counters."""
+    rng = np.random.default_rng(seed)
+    limits = (-2048, 2047) if rails else (None, None)
+    channels = [
+        Channel("voltage", "V", kind, 0.1, 0.5, *limits),
+        Channel("current", "mA", kind, 19.7, -3.0, *limits),
+        Channel("ambient", "degF", kind, 0.01, 60.0, None, None),
+    ][: 3 if ambient else 2]
+    frames = hello_frames(Hello("d", 1, (3000, 1), tuple(channels)), sequence=0, t0_us=0)
+    for k in range(40):
+        codes = rng.integers(-2048, 2048, (n, len(channels)))
+        codes[rng.random(codes.shape) < 0.02] = rng.choice([-2048, 2047])
+        codes = codes.astype(np.int16 if kind == "i2" else np.float32)
+        if kind == "f4" and k == 30:
+            codes[0, 0] = np.nan
+        flags = Flag.SATURATED if k % 7 == 3 else 0
+        stamp = round(1e6 * k * n / 3000)
+        frames.append(samples_frame(codes, schema=1, sequence=len(frames), t0_us=stamp, flags=flags))
+    single, whole = Link(), Link()
+    parts = [part for part in (single.feed(frame, 0) for frame in frames) if len(part)]
+    together = whole.feed(b"".join(frames), 0)
+    for name in Samples.__dataclass_fields__:
+        expected = getattr(together, name)
+        if expected is None:
+            assert all(getattr(part, name) is None for part in parts)
+        else:
+            got = np.concatenate([getattr(part, name) for part in parts])
+            assert got.dtype == expected.dtype and np.array_equal(
+                got, expected, equal_nan=expected.dtype.kind == "f"
+            ), name
+    assert single.counters == whole.counters and single.bad_frames == whole.bad_frames == 0
