@@ -15,7 +15,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Parameter
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.model import Model, differences_of, parts_of, predict, sensitivities_of
+from motorlens_workbench.model import Model, parts_of, predict, sensitivities_of
 from motorlens_workbench.run import STATE_OF, Run
 from motorlens_workbench.whitening import Whitener, fit_whitener, white
 
@@ -210,7 +210,6 @@ def fit(
     *,
     rounds: int = 12,
     tolerance: float = 2e-5,
-    by_differences: bool = False,
 ) -> Fit:
     """Fit the parameters that the prior names, starting from the model.
 
@@ -221,8 +220,6 @@ def fit(
         whiteners: the noise; None: white, of the size of the residuals, updated every round.
         rounds: at most this many Jacobians.
         tolerance: stop when a round lowers the sum of squares by less than this share (and less than 0.1).
-        by_differences: Jacobians by differences, which spares compiling the sensitivities of a structure that is
-            only being tried.
 
     Raises:
         ModelError: the starting point cannot be simulated.
@@ -237,9 +234,7 @@ def fit(
     for _ in range(rounds):
         values = model.values()
         cost = squares(residuals, runs, noise) + penalty_of(values, prior)
-        gram, gradient = normal_equations(
-            model, runs, keys, noise, residuals, prior if by_differences else None
-        )
+        gram, gradient = normal_equations(model, runs, keys, noise, residuals)
         gram += np.diag(1 / scale**2)
         gradient += np.array([(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys])
         moved = False
@@ -281,34 +276,18 @@ def normal_equations(
     keys: Sequence[str],
     whiteners: Sequence[Whitener],
     residuals: Sequence[Array],
-    by_differences: Prior | None = None,
 ) -> tuple[Array, Array]:
-    """J^T J and J^T e of whitened columns and residuals; by differences with steps taken from a prior."""
+    """J^T J and J^T e of whitened columns and residuals."""
     gram, gradient = np.zeros((len(keys), len(keys))), np.zeros(len(keys))
     for r, (run, whitener, residual) in enumerate(zip(runs, whiteners, residuals, strict=True)):
         mine = [k for k, key in enumerate(keys) if "@" not in key or key.endswith(f"@{r}")]
-        if by_differences is None:
-            _, _, columns, _ = sensitivities_of(model, run, r, [keys[k] for k in mine])
-        else:
-            _, _, columns = differences_of(
-                model, run, r, [keys[k] for k in mine], _steps(model, by_differences)
-            )
+        columns = sensitivities_of(model, run, r, [keys[k] for k in mine])[2]
         kept = usable(run, whitener)
         z = whitener(run.average(columns))[kept].reshape(-1, len(mine))
         e = whitener(residual)[kept].ravel()
         gram[np.ix_(mine, mine)] += z.T @ z
         gradient[mine] += z.T @ e
     return gram, gradient
-
-
-def _steps(model: Model, prior: Prior) -> dict[str, float]:
-    """A thousandth of what is believed possible, away from the nearer bound."""
-    values = model.values()
-    steps = {}
-    for key, width in prior.sd.items():
-        step = 1e-3 * width
-        steps[key] = step if values[key] + step <= prior.bounds[key][1] else -step
-    return steps
 
 
 def _step(

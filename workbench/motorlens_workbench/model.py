@@ -9,7 +9,6 @@ derivatives exist everywhere.
 """
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
@@ -21,7 +20,7 @@ from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
 from motorlens_physics.sensor_model import SensorModel
-from motorlens_physics.simulation import Inputs, Trajectory, cores, simulate
+from motorlens_physics.simulation import Inputs, Trajectory, simulate
 from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
@@ -198,43 +197,6 @@ def sensitivities_of(
             )
             columns[:, :, j : j + 1] = through_sensors(model, run, _stack_states(run, moved))
     return trajectory, out, columns, linear
-
-
-def differences_of(
-    model: Model, run: Run, r: int, keys: Sequence[str], steps: Mapping[str, float]
-) -> tuple[Trajectory, Array, Array]:
-    """As `sensitivities_of`, by simulating once more for every key: nothing needs compiling but the simulation itself.
-
-    Args:
-        model: the model.
-        run: prepared recording.
-        r: its position.
-        keys: parameters.
-        steps: how far to go for each key; may be negative.
-    """
-    trajectory, out = predict(model, run, r)
-    values = model.values()
-
-    def column(key: str) -> Array:
-        name = key.partition("@")[0]
-        if "@" in key and not key.endswith(f"@{r}"):
-            return np.zeros_like(out)
-        if name.startswith("skew."):
-            k = run.channels.index(name[5:])
-            late = np.zeros_like(out)
-            late[:, k] = -np.gradient(out[:, k], run.inputs.time_s)
-            return late
-        nudged = model.with_values({key: values[key] + steps[key]})
-        if _is_sensor(model, key) and _sensor(model, key).channel in run.channels:
-            there = shown(nudged, run, r, _stack(run, trajectory))
-        else:
-            there = predict(nudged, run, r)[1]
-        return np.asarray((there - out) / steps[key])
-
-    # The compiled simulation runs without the interpreter's lock.
-    with ThreadPoolExecutor(cores()) as pool:
-        columns = list(pool.map(column, keys))
-    return trajectory, out, np.stack(columns, axis=2)
 
 
 def _sensor(model: Model, key: str) -> SensorModel:

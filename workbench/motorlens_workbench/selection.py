@@ -216,7 +216,7 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
     best: Fit | None = None
     for start in (linear, add(unmoved, part)):  # type: ignore[arg-type]
         try:
-            tried = fit(start, runs, prior, found.whiteners, rounds=rounds, by_differences=True)
+            tried = fit(start, runs, prior, found.whiteners, rounds=rounds)
         except ModelError:
             continue
         if best is None or total(tried) < total(best):
