@@ -123,9 +123,11 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     said = [f"{words.get(name, name.replace('_', ' '))}{_size(found, name)}" for name in verdict.chosen]
     if found.dead:
         dead = [f"{one.channel} sensor of {one.recording} (dead, gain {one.gain:.2f})" for one in found.dead]
-        gone = {one.name for one in found.dead}
+        faults = {one.name for one in found.dead}
         others = [
-            " or ".join(words.get(n, n) for n in group) for group in verdict.groups if group[0] not in gone
+            " or ".join(words.get(one, one) for one in group)
+            for group in verdict.groups
+            if group[0] not in faults
         ]
         beside = f". Missing beside: {'; and '.join(others)}" if others else ""
         return f"At fault: {' and '.join(dead)}{beside}."

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Parameter
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import ModelError
@@ -26,6 +26,11 @@ Array = NDArray[np.float64]
 RELATIVE_SD = {
     "R_a0": 0.4, "L": 0.5, "ke": 0.4, "J": 0.5, "b": 1.0, "alpha": 0.1, "k0": 0.5, "kT": 1.0, "k_ir": 1.0, "H": 0.5,
 }  # fmt: skip
+# A value whose source begins with this word is taken at its standard deviation (0: not fitted). That of a datasheet or a former
+# fit may promise too much, for a missing effect moves parameters: it counts, but no less than this share of the above.
+MEASURED, FORMER = "measured", 0.25
+# Nuisances are for small things: what would need more of them than this many standard deviations is something else.
+WITHIN = 4.0
 # An ambient that was not recorded is a room's.
 AMBIENT_SD_K = 10.0
 
@@ -88,8 +93,13 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
     for key, relative in RELATIVE_SD.items():
         what = file.meaning(key)
         size = max(abs(values[key]), 0.1 * what.typical(rated))
-        stated = file.knowledge[key].sd if key in file.knowledge else None
-        centre[key], sd[key] = values[key], max(relative * size, stated or 0.0)
+        known = file.knowledge.get(key, Knowledge())
+        sure = known.sd is not None and known.source.startswith(MEASURED)
+        if known.sd == 0 and sure:
+            continue
+        centre[key] = values[key]
+        least = 0.0 if sure else FORMER * relative * size
+        sd[key] = max(known.sd, least) if known.sd else relative * size
         bounds[key] = (max(what.bounds[0], 0.05 * values[key]), what.bounds[1])
     prior = Prior(centre, sd, bounds)
     for part in parts_of(file):
@@ -100,7 +110,8 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
             key = f"{name}@{r}"
             prior.centre[key] = run.start[name[8:]] if name.startswith("initial.") else 0.0  # type: ignore[index]
             prior.sd[key] = width  # type: ignore[index]
-            prior.bounds[key] = (-np.inf, np.inf)  # type: ignore[index]
+            middle = prior.centre[key]
+            prior.bounds[key] = (middle - WITHIN * width, middle + WITHIN * width)  # type: ignore[index]
     return prior
 
 
@@ -115,6 +126,9 @@ def part_prior(file: MotorFile, name: str) -> Prior:
             continue
         key = f"{name}.{parameter}"
         typical = what.typical(file.rated)
+        known = file.knowledge.get(key, Knowledge())
+        if known.sd == 0 and known.source.startswith(MEASURED):
+            continue
         # The switch is free; a shape is known within a factor of a few.
         centre[key] = what.null if what.null is not None else getattr(part, parameter)
         sd[key] = 30 * abs(typical) if what.null is not None else max(abs(centre[key]), what.sd(file.rated))
@@ -132,7 +146,8 @@ def _nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
     if "speed" not in run.channels:
         own["initial.w"] = 0.1 * rated.speed_rad_s
     if "temperature" not in run.channels:
-        own["initial.theta"] = 0.5 * rated.rise_K
+        # Without a current either, how warm the winding is cannot be told from R_a0, and is left to it.
+        own["initial.theta"] = (0.5 if "current" in run.channels else 0.03) * rated.rise_K
     if "ambient" not in run.known and "temperature" in run.channels:
         own["ambient"] = AMBIENT_SD_K
     for channel in run.channels:

@@ -11,10 +11,10 @@ from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.diagnosis import base_fit, look
-from motorlens_workbench.fitting import Fit, noise_of, start_model
+from motorlens_workbench.fitting import Fit, Prior, base_prior, fit, noise_of, start_model
 from motorlens_workbench.model import parts_of, predict
 from motorlens_workbench.run import Run, prepare
-from motorlens_workbench.screen import all_columns, evidence_of, held_out_rmse, with_priors
+from motorlens_workbench.screen import all_columns, evidence_of, held_out_errors, held_out_rmse, with_priors
 from motorlens_workbench.selection import REAL, WORTH, Progress, refit, total
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Rung:
         added: what distinguishes it from the rung below; "" for the lowest.
         file: fitted.
         held_out: RMSE of each channel on blocks of time held out.
-        judged: RMSE of each channel on recordings that were not fitted at all, run freely; empty without any.
+        judged: RMSE of each channel on recordings that were not fitted, run freely, see `judged`; empty without any.
     """
 
     added: str
@@ -55,8 +55,18 @@ def add(
     judge: Sequence[Recording] = (),
     own: Sequence[type[Effect]] = (),
     say: Progress = lambda text: None,
+    differing: Sequence[str] = (),
 ) -> Ladder:
     """Fit the motor file with an effect or a sensor fault added; refit everything.
+
+    Args:
+        file: the motor as known.
+        name: what to add.
+        recordings: to fit to.
+        judge: to judge by.
+        own: effects from outside the catalogue.
+        say: told what is being done.
+        differing: parameters that each motor of `judge` has of its own, see `judged`.
 
     Raises:
         DataError: the effect is in the file already, or there is none of that name for these recordings.
@@ -69,9 +79,11 @@ def add(
     names = [part.name() for part in parts_of(file)]
     for k in range(len(names)):
         say(f"fitting {'the textbook alone' if k == 0 else 'with ' + names[k - 1]}")
-        rungs.append(_rung(names[k - 1] if k else "", _with(lower, file, names[:k]), runs, judge)[0])
+        rungs.append(
+            _rung(names[k - 1] if k else "", _with(lower, file, names[:k]), runs, judge, differing)[0]
+        )
     say("fitting the motor file as it is")
-    rung, fitted, runs = _rung(names[-1] if names else "", file, runs, judge)
+    rung, fitted, runs = _rung(names[-1] if names else "", file, runs, judge, differing)
     rungs.append(rung)
     say(f"screening for {name}")
     now = look(fitted, runs, own)
@@ -98,7 +110,7 @@ def add(
             False,
             "no model with it could be simulated",
         )
-    rungs.append(_described(name, found, runs, judge, recordings))
+    rungs.append(_described(name, found, runs, judge, recordings, differing))
     gain = (total(now.found) - total(found)) / test.score.inflation
     before, after = rungs[-2].held_out, rungs[-1].held_out
     # Channels are traded by the logarithm of their error: what one loses, another must more than win.
@@ -117,6 +129,7 @@ def remove(
     recordings: Sequence[Recording],
     judge: Sequence[Recording] = (),
     say: Progress = lambda text: None,
+    differing: Sequence[str] = (),
 ) -> Ladder:
     """Fit the motor file without an effect or sensor model.
 
@@ -127,14 +140,14 @@ def remove(
         raise DataError(f"{name} is not in the motor file")
     runs = tuple(prepare(recording, file) for recording in recordings)
     say("fitting the motor file as it is")
-    with_it, _, _ = _rung(name, file, runs, judge)
+    with_it, _, _ = _rung(name, file, runs, judge, differing)
     without = replace(
         file,
         motor=file.motor.without_effect(name),
         sensors=tuple(sensor for sensor in file.sensors if sensor.name() != name),
     )
     say(f"fitting without {name}")
-    rung, found, used = _rung(f"without {name}", without, runs, judge)
+    rung, found, used = _rung(f"without {name}", without, runs, judge, differing)
     floor = _floor(
         tuple(np.std(e[run.fresh()], axis=0) for e, run in zip(found.residuals, used, strict=True)), used
     )
@@ -152,15 +165,20 @@ def _with(lower: MotorFile, file: MotorFile, names: Sequence[str]) -> MotorFile:
 
 
 def _rung(
-    added: str, file: MotorFile, runs: Sequence[Run], judge: Sequence[Recording]
+    added: str, file: MotorFile, runs: Sequence[Run], judge: Sequence[Recording], differing: Sequence[str]
 ) -> tuple[Rung, Fit, tuple[Run, ...]]:
     found, used = base_fit(file, runs)
     found = replace(found, whiteners=noise_of(found.residuals, used, len(found.prior.keys)))
-    return _described(added, found, used, judge, ()), found, used
+    return _described(added, found, used, judge, (), differing), found, used
 
 
 def _described(
-    added: str, found: Fit, runs: Sequence[Run], judge: Sequence[Recording], fitted_to: Sequence[Recording]
+    added: str,
+    found: Fit,
+    runs: Sequence[Run],
+    judge: Sequence[Recording],
+    fitted_to: Sequence[Recording],
+    differing: Sequence[str],
 ) -> Rung:
     columns, _ = all_columns(found, runs, (), (), with_decoys=False)
     evidence = with_priors(evidence_of(columns, runs, found.whiteners), found)
@@ -170,20 +188,57 @@ def _described(
     known = {key: Knowledge(spread[key], source) for key in file.values() if key in spread}
     file = file.with_values({}, known)
     return Rung(
-        added, file, held_out_rmse(found, runs, columns, evidence), judged(file, judge, found.model.held)
+        added,
+        file,
+        held_out_rmse(found, runs, columns, evidence),
+        judged(file, judge, found.model.held, differing),
     )
 
 
-def judged(file: MotorFile, recordings: Sequence[Recording], held: Sequence[bool] = ()) -> dict[str, float]:
-    """RMSE of each channel of free runs over whole recordings, from their first samples, nothing fitted."""
+def judged(
+    file: MotorFile, recordings: Sequence[Recording], held: Sequence[bool] = (), differing: Sequence[str] = ()
+) -> dict[str, float]:
+    """RMSE of each channel of free runs over whole recordings, from their first samples.
+
+    Nothing is fitted, unless motors of one make differ in some parameters: those are then fitted to each recording, and the
+    error is that of its blocks of time which they were not fitted to. What was added keeps the size it was learnt with.
+
+    Args:
+        file: the motor.
+        recordings: to judge by.
+        held: whether the voltage was held between samples, as found with the recordings that were fitted.
+        differing: parameters of the motor file, by key.
+
+    Raises:
+        DataError: the motor file has no such parameter.
+    """
     squares: dict[str, list[Array]] = {}
     for recording in recordings:
         run = prepare(recording, file)
         model = replace(start_model(file, [run]), held=(bool(held[0]) if held else False,))
-        error = (run.measured - predict(model, run, 0)[1])[run.valid]
+        if differing:
+            found = fit(model, [run], _only(base_prior(file, [run]), differing))
+            columns, _ = all_columns(found, [run], (), (), with_decoys=False)
+            evidence = with_priors(evidence_of(columns, [run], found.whiteners), found)
+            error = held_out_errors(found, [run], columns, evidence)[0]
+            error = error[run.fresh()]
+        else:
+            error = (run.measured - predict(model, run, 0)[1])[run.valid]
         for c, channel in enumerate(run.channels):
             squares.setdefault(channel, []).append(error[:, c] ** 2)
     return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
+
+
+def _only(prior: Prior, keys: Sequence[str]) -> Prior:
+    unknown = [key for key in keys if key not in prior.sd]
+    if unknown:
+        known = ", ".join(key for key in prior.keys if "@" not in key)
+        raise DataError(f"{', '.join(unknown)}: no such parameter of the motor file; known: {known}")
+    return Prior(
+        {key: prior.centre[key] for key in keys},
+        {key: prior.sd[key] for key in keys},
+        {key: prior.bounds[key] for key in keys},
+    )
 
 
 def _floor(noise: Sequence[Array], runs: Sequence[Run]) -> dict[str, float]:

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 STATE_OF = {"current": "i", "speed": "w", "temperature": "theta"}
 UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "V", "load_torque": "N*m"}
 ROWS = 30_000
+# Levels up to the largest value below which these are no converter's, but steps of a command.
+COARSEST = 32
 # The ambient temperature is averaged over this long.
 AMBIENT_S = 60.0
 
@@ -176,7 +178,13 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     angle = recording.channels.get("angle")
     if angle is not None and not np.isfinite(angle).all():
         angle = None
-    coarse = (quantisation_step(inputs.voltage_V), quantisation_step(inputs.load_torque_Nm))
+    coarse = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
     return Run(
         recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse
     )
+
+
+def _least_bit(y: Array) -> float:
+    """The least significant bit of a measured input; 0 if it looks continuous, or if its levels are those of a command."""
+    step = quantisation_step(y)
+    return step if COARSEST * step <= np.max(np.abs(y)) else 0.0

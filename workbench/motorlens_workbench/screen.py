@@ -301,26 +301,34 @@ def with_priors(evidence: Evidence, found: Fit) -> Evidence:
     return evidence.with_prior(centre, {key: 1.0 for key in found.prior.keys})
 
 
-def held_out_rmse(
+def held_out_errors(
     found: Fit, runs: Sequence[Run], columns: Sequence[Columns], evidence: Evidence, folds: int = 6
-) -> dict[str, float]:
-    """RMSE of each channel on blocks of time that the parameters were not fitted to.
+) -> list[Array]:
+    """Per run (rows, C), the error on each block of time with parameters that were not fitted to it.
 
     The blocks of a fold are spread evenly over the recordings, so that each fold sees every operating region; the fitted
     parameters are solved again, linearised, without each fold in turn.
     """
     keys = found.prior.keys
     blocks = layout(runs, found.whiteners)
-    squares: dict[str, list[Array]] = {}
+    errors = [one.residual.copy() for one in columns]
     for fold in range(folds):
         kept = np.array([k >= len(blocks) or k % folds != fold for k in range(len(evidence.blocks))])
         part = Evidence(evidence.names, evidence.blocks[kept], evidence.samples[kept], evidence.power)
         move, _ = part.solve(keys)
         for r, rows in (block for k, block in enumerate(blocks) if k % folds == fold):
-            error = columns[r].residual[rows] - columns[r].values[rows][:, :, : len(keys)] @ move
-            good = error[runs[r].fresh()[rows]]
-            for c, channel in enumerate(runs[r].channels):
-                squares.setdefault(channel, []).append(good[:, c] ** 2)
+            errors[r][rows] -= columns[r].values[rows][:, :, : len(keys)] @ move
+    return errors
+
+
+def held_out_rmse(
+    found: Fit, runs: Sequence[Run], columns: Sequence[Columns], evidence: Evidence, folds: int = 6
+) -> dict[str, float]:
+    """RMSE of each channel on blocks of time that the parameters were not fitted to, see `held_out_errors`."""
+    squares: dict[str, list[Array]] = {}
+    for run, error in zip(runs, held_out_errors(found, runs, columns, evidence, folds), strict=True):
+        for c, channel in enumerate(run.channels):
+            squares.setdefault(channel, []).append(error[run.fresh(), c] ** 2)
     return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
 
 

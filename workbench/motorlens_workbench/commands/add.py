@@ -22,6 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--judge", nargs="+", default=[], metavar="REC", help="recordings to judge by, not fitted to"
     )
+    parser.add_argument(
+        "--differing",
+        nargs="+",
+        default=[],
+        metavar="KEY",
+        help="parameters that each motor of --judge has of its own (ke, J): fitted to its recording, judged on blocks of "
+        "time held out",
+    )
     parser.add_argument("-o", "--output", required=True, metavar="NEW.toml", help="the new motor file")
     parser.add_argument("--remove", action="store_true", help="take the effect out instead")
     parser.add_argument(
@@ -29,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
+    )
+    parser.add_argument(
+        "--driven",
+        action="store_true",
+        help="impose current and speed as measured and look at the thermal equation alone (the voltage is not the motor's)",
     )
     parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
@@ -41,6 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.recording import read_recording
     from motorlens_runtime.errors import DataError
     from motorlens_workbench import ladder as ladders
+    from motorlens_workbench.driven import driven, freed
     from motorlens_workbench.ladder_report import to_html, to_json, to_text
     from motorlens_workbench.telling import teller
 
@@ -52,15 +66,22 @@ def run(arguments: argparse.Namespace) -> int:
     file = read_motor_file(arguments.motor, own.values())
     fitted = [read_recording(path, arguments.column) for path in arguments.fit]
     judge = [read_recording(path, arguments.column) for path in arguments.judge]
+    plain = file
+    if arguments.driven:
+        file, fitted = driven(file, fitted)
+        judge = driven(plain, judge)[1] if judge else judge
     say = teller("add")
     if arguments.remove:
-        found = ladders.remove(file, arguments.effect, fitted, judge, say)
+        found = ladders.remove(file, arguments.effect, fitted, judge, say, arguments.differing)
     else:
-        found = ladders.add(file, arguments.effect, fitted, judge, tuple(own.values()), say)
+        found = ladders.add(
+            file, arguments.effect, fitted, judge, tuple(own.values()), say, arguments.differing
+        )
     written = found.supported or (arguments.force and found.rungs[-1].added == arguments.effect)
     document = to_json(found, arguments.effect, arguments.motor, arguments.output if written else None)
     if written:
-        write_motor_file(found.rungs[-1].file, arguments.output)
+        better = found.rungs[-1].file
+        write_motor_file(freed(better, plain) if arguments.driven else better, arguments.output)
     if arguments.json != "-":
         print(to_text(document))
     write_json(document, arguments.json)

@@ -21,6 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
     )
+    parser.add_argument(
+        "--driven",
+        action="store_true",
+        help="impose current and speed as measured and look at the thermal equation alone (the voltage is not the motor's)",
+    )
     parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
     add_json_argument(parser)
@@ -34,6 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.recording import read_recording
     from motorlens_workbench.diagnosis import investigate
     from motorlens_workbench.diagnosis_json import to_json, to_text
+    from motorlens_workbench.driven import driven
     from motorlens_workbench.experiments import propose
     from motorlens_workbench.telling import teller
     from motorlens_workbench.verdict import settle
@@ -41,6 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
     own = load_effects(arguments.effects_from) if arguments.effects_from else {}
     file = read_motor_file(arguments.motor, own.values())
     recordings = [read_recording(path, arguments.column) for path in arguments.recordings]
+    if arguments.driven:
+        file, recordings = driven(file, recordings)
     say = teller("diagnose")
     found = investigate(file, recordings, tuple(own.values()), say)
     verdict = settle(found)
@@ -58,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         from motorlens_workbench.diagnosis_page import to_html
 
         words = ["motorlens", "diagnose", *arguments.recordings, "--motor", arguments.motor]
+        words += ["--driven"] if arguments.driven else []
         words += [word for column in arguments.column for word in ("--column", column)]
         words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
         Path(arguments.html).write_text(
