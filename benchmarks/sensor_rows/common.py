@@ -96,7 +96,7 @@ def trained(
     skips: bool = True,
     rows: int = 500,
 ) -> Network:
-    """A sensor of this bank: three quarters of the cycles to train on, one to calibrate."""
+    """A sensor of this bank: three quarters of the cycles to train on, one to calibrate; of a single one all to train on."""
     seen = [
         cycle(r, bank, OUTPUTS, instants(r, rows, WHITE, np.random.default_rng([3, k])))
         for k, r in enumerate(cycles)
@@ -104,7 +104,7 @@ def trained(
     rate = Rate(1 / float(np.median([r.period_s for r in cycles])), 50.0, 10000.0)
     settings = Settings(iterations=size.iterations, time_series=bank.observer is not None)
     recipe = Recipe("benchmark", bank, OUTPUTS, hidden, rate, 1.0, 0, settings, skips=skips)
-    quarter = max(1, len(seen) // 4)
+    quarter = min(max(1, len(seen) // 4), len(seen) - 1)
     return Network(build(recipe, seen[quarter:], seen[:quarter], []).sensor)
 
 

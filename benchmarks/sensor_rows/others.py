@@ -64,9 +64,11 @@ def missing(case: str, size: Size, quick: bool) -> None:
     """A true motor with an effect that its file lacks; sensor and EKF are given the same half hour on the bench."""
     title, effect = CASES[case]
     true = with_overrides(MELLAH, effect)
-    longer = replace(size, testing=2 if quick else 4, seconds=600.0 if quick else 1200.0)
-    bench = duty(true, Size(0, 2, 900.0, 0), 71, ambient_start=True)
-    tests = duty(true, longer, 72, 100.0, ambient_start=True)
+    # Half an hour: what is missing shows once the motor is warm.
+    longer = replace(size, testing=2 if quick else 4, seconds=1800.0)
+    rate = 50.0 if quick else 100.0
+    bench = duty(true, Size(0, 1, 1800.0, 0), 71, ambient_start=True)
+    tests = duty(true, longer, 72, rate, ambient_start=True)
     wrong = calibrated(MELLAH, bench)
     blind = with_observer(filters(wrong), wrong, replace(WATCHING, thermal_walk=0.02))
     told = with_observer(filters(true), true, WATCHING)
@@ -85,7 +87,7 @@ def missing(case: str, size: Size, quick: bool) -> None:
         "with the effect, half of that without", found, "hybrid, effect added", "hybrid, without effect", 0.5
     )
     exact = evaluate(
-        {"exact": exact_hybrid(size)}, duty(MELLAH, longer, 72, 100.0, ambient_start=True), MELLAH, BOUND
+        {"exact": exact_hybrid(size)}, duty(MELLAH, longer, 72, rate, ambient_start=True), MELLAH, BOUND
     )
     for output, score in exact.scores["exact"].items():
         ours = found.scores["hybrid, effect added"][output].rms

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.scenario import perform
 from motorlens_runtime.sensor import load_sensor
 from motorlens_train.baselines.method import OUTPUTS
-from motorlens_train.duty_cycles import duty_cycle
+from motorlens_train.duty_cycles import TrainingDuty, duty_cycle, with_noise
+from motorlens_train.evaluation import counted
 from motorlens_train.evaluation_sensor import read_sensor
 from motorlens_train.material import noise_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SENSOR = ROOT / "models/sensors/mellah2016.onnx"
+OBSERVER = ROOT / "models/sensors/mellah2016_observer.onnx"
 
 
 def test_it_loads_and_is_small() -> None:
@@ -42,6 +45,31 @@ def test_unseen_duty_cycles_are_estimated_as_the_card_says() -> None:
         # Short cycles are the easier ones: hours of heating are where the error of a temperature grows.
         assert 0.001 * card[name]["rmse"] < rmse[k] < min(4 * card[name]["rmse"], goal), name
         assert 0.8 < np.mean(inside, axis=0)[k] <= 1.0, name
+
+
+def test_with_an_observer_any_start_will_do() -> None:
+    """Started warm, which the sensor is not told: a second after the first voltage step the inrush has shown it."""
+    file, sensor = read_motor_file(ROOT / "models/motors/mellah2016.toml"), read_sensor(OBSERVER)
+    blind = read_sensor(SENSOR)
+    errors: dict[str, list[np.ndarray]] = {"observer": [], "filters": []}
+    inside, starts = [], []
+    for seed in range(3):
+        noise, rng = noise_of(file, []), np.random.default_rng([98, seed])
+        recording = with_noise(perform(file, TrainingDuty(150.0, 0.004, warm=True), rng), noise, rng)
+        rows, channels = counted(recording, file), recording.channels
+        rise = channels["temperature"] - channels["ambient"]
+        actual = np.column_stack([channels["speed"], rise])[rows]
+        for name, each in (("observer", sensor), ("filters", blind)):
+            found = each.estimate(recording)
+            errors[name].append(((found.values[rows, :2] - actual) ** 2).mean(0))
+            if name == "observer":
+                inside.append((np.abs(found.values[rows, :2] - actual) <= 1.96 * found.sds[rows, :2]).mean(0))
+        starts.append(rise[0])
+    assert max(starts) > 20.0
+    speed, temperature = np.sqrt(np.mean(errors["observer"], axis=0))
+    assert 0.02 < speed < 0.5 and 0.01 < temperature < 3.0
+    assert np.sqrt(np.mean(errors["filters"], axis=0))[1] > 10.0, "filters alone cannot know"
+    assert np.all(np.mean(inside, axis=0) > 0.85)
 
 
 def test_it_is_rebuilt_by_the_command_in_the_makefile() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from motorlens_train.calibration import noise_head
+from motorlens_train.calibration import ENOUGH, noise_head
 from motorlens_train.cascade import Architecture
 from motorlens_train.data import Cycle, arrays, errors, scale_of
 from motorlens_train.features import feature_rows
@@ -23,7 +23,7 @@ from motorlens_train.trainer import Settings, Trained, train
 # Directions of the last-layer posterior that the exported sensor keeps: the least determined ones.
 DIRECTIONS = 12
 GOLDEN_ROWS = 24
-# An observer's standard deviation is not narrowed below this share of itself.
+# An observer's standard deviation is not narrowed below this share of itself, and by few cycles not at all.
 SUREST = 0.7
 
 
@@ -123,7 +123,8 @@ def build(
         read = [silent.read(c.x) for c in calibration]
         off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
         if frame:
-            head = _scaled(np.concatenate(off) * trained.targets.deviation.numpy(), width)
+            least = SUREST if len(calibration) >= ENOUGH else 1.0
+            head = _scaled(np.concatenate(off) * trained.targets.deviation.numpy(), width, least)
             head[:, 0] -= 2 * np.log(trained.targets.deviation.numpy())
         else:
             head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
@@ -208,14 +209,14 @@ def _locked(sensor: Sensor, time: Array, voltage: Array) -> tuple[Array, Array]:
     return voltage, np.round(current, 4)
 
 
-def _scaled(errors: Array, width: int) -> Array:
+def _scaled(errors: Array, width: int, least: float) -> Array:
     """Noise head `[K, Z]` beside an observer, from errors `[N, K]` in its deviations on cycles not trained on.
 
     The observer's deviation already follows the situation; it is scaled until the interval holds nineteen of twenty errors.
-    Never below `SUREST`: simulated cycles that it follows with ease say little about a real motor.
+    Never below `least` of itself: cycles that it follows with ease, or few of them, say little about a real motor.
     """
     head = np.zeros((errors.shape[1], width))
-    head[:, 0] = 2 * np.log(np.maximum(np.quantile(np.abs(errors), 0.95, axis=0) / 1.96, SUREST))
+    head[:, 0] = 2 * np.log(np.maximum(np.quantile(np.abs(errors), 0.95, axis=0) / 1.96, least))
     return head
 
 

@@ -68,7 +68,7 @@ class ObserverSettings:
     load_jump: float = 0.4
     jump_every: float = 4000.0
     jump_lasts: float = 3.0
-    thermal_walk: float = 0.0
+    thermal_walk: float = 0.005
     model_sd: float = 2e-4
     bend_sd: float = 1.0
     rise_K: float | None = None

@@ -26,8 +26,9 @@ Array = NDArray[np.float64]
 RELATIVE_SD = {
     "R_a0": 0.4, "L": 0.5, "ke": 0.4, "J": 0.5, "b": 1.0, "alpha": 0.1, "k0": 0.5, "kT": 1.0, "k_ir": 1.0, "H": 0.5,
 }  # fmt: skip
-# A value whose source begins with this word is taken at its standard deviation (0: not fitted). That of a datasheet or of a
-# former fit may promise too much, for a missing effect moves parameters: no less than this share of the above is believed.
+# A value whose source begins with this word is taken at its standard deviation (0: not fitted). That of a datasheet or a
+# former fit may promise too much, for a missing effect moves parameters: it counts, but no less than this share of the
+# above.
 MEASURED, FORMER = "measured", 0.25
 # Nuisances are for small things: what would need more of them than this many standard deviations is something else.
 WITHIN = 4.0

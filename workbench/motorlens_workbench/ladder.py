@@ -76,7 +76,7 @@ def add(
     runs = tuple(prepare(recording, file) for recording in recordings)
     rungs = []
     lower = _stripped(file)
-    names = [part.name() for part in parts_of(file)]
+    names = [part.name() for part in parts_of(file) if not _imposed(file, part.name())]
     for k in range(len(names)):
         say(f"fitting {'the textbook alone' if k == 0 else 'with ' + names[k - 1]}")
         rungs.append(
@@ -154,11 +154,17 @@ def remove(
     return Ladder((with_it, rung), floor, 0.0, True, "")
 
 
+def _imposed(file: MotorFile, name: str) -> bool:
+    """Whether a part belongs to how the motor is driven, see `driven`, not to what is being learnt."""
+    return any(key.startswith(f"{name}.") and known.sd == 0 for key, known in file.knowledge.items())
+
+
 def _stripped(file: MotorFile) -> MotorFile:
-    return replace(file, motor=replace(file.motor, effects=()), sensors=())
+    return _with(file, file, ())
 
 
 def _with(lower: MotorFile, file: MotorFile, names: Sequence[str]) -> MotorFile:
+    names = [part.name() for part in parts_of(file) if part.name() in names or _imposed(file, part.name())]
     effects = tuple(effect for effect in file.motor.effects if effect.name() in names)
     sensors = tuple(sensor for sensor in file.sensors if sensor.name() in names)
     return replace(lower, motor=replace(lower.motor, effects=effects), sensors=sensors)

@@ -1,0 +1,152 @@
+"""Real motors: what the workbench says of other people's recordings, and how far the error falls on those it was not fitted to.
+
+example:
+  python benchmarks/real_recordings.py ../shared/recordings
+
+Everything goes through the ordinary commands (`diagnose`, `add`), one block per motor. The recordings are not part of this
+repository: their sources are named in the README of that folder. Without the folder there is nothing to do, and status 0.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from motorlens_runtime.cli import main as motorlens
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+WHEEL = EXAMPLES / "hidden_effect" / "regbot.toml"
+MOTORS = EXAMPLES / "real_recordings"
+
+
+def side(letter: str) -> list[str]:
+    return [
+        f"--column=voltage=v{letter}_V",
+        f"--column=current=i{letter}_A",
+        f"--column=speed=w{letter}_rad_s",
+    ]
+
+
+def diagnose(recordings: Sequence[Path], motor: Path, *options: str) -> dict:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "answer.json"
+        words = ["diagnose", *map(str, recordings), "--motor", str(motor), *options, "--json", str(path)]
+        status = motorlens(words)
+        return (
+            json.loads(path.read_text()) if status == 0 else {"verdict": f"status {status}", "sentence": ""}
+        )
+
+
+def add(
+    effects: Sequence[str], fitted: Sequence[Path], judge: Sequence[Path], motor: Path, *options: str
+) -> list[dict]:
+    """The ladder: the textbook first, then each effect."""
+    with tempfile.TemporaryDirectory() as folder:
+        rungs: list[dict] = []
+        for k, effect in enumerate(effects):
+            better, path = Path(folder) / f"{k}.toml", Path(folder) / f"{k}.json"
+            words = [
+                "add",
+                effect,
+                "--motor",
+                str(motor),
+                "--fit",
+                *map(str, fitted),
+                "--judge",
+                *map(str, judge),
+            ]
+            status = motorlens([*words, *options, "-o", str(better), "--json", str(path)])
+            rungs = json.loads(path.read_text())["ladder"] if path.exists() else rungs
+            if status != 0:
+                break
+            motor = better
+        return rungs
+
+
+def tell(motor: str, answer: dict) -> None:
+    print(f"\n## {motor}: {answer['verdict']}\n{answer['sentence']}", flush=True)
+    if "separating_experiment" in answer:
+        print(f"experiment: {answer['separating_experiment']['why']}")
+    if "unknown_shape" in answer:
+        shape = answer["unknown_shape"]
+        print(f"shape against {shape['against']}, {shape['unit']}: {[round(y, 3) for y in shape['y']]}")
+
+
+def ladder(title: str, rungs: Sequence[dict], channel: str, unit: str) -> None:
+    print(f"\n{title} ({unit}; on recordings not fitted, relative to the textbook)")
+    for rung in rungs:
+        error, first = rung["judged"][channel], rungs[0]["judged"][channel]
+        print(
+            f"  {rung['added'] or 'textbook':<24}{error:8.3f}{100 * (error / first - 1):8.1f} %", flush=True
+        )
+
+
+def regbot(folder: Path) -> None:
+    robots = {n: folder / "regbot" / f"robot_{n:02d}.csv" for n in (1, 3, 4, 5, 10)}
+    fitted, judge = [robots[1], robots[4]], [robots[3], robots[5], robots[10]]
+    tell("regbot, left wheels of robots 01 and 04", diagnose(fitted, WHEEL, *side("L")))
+    tell("regbot, right wheel of robot 10", diagnose([robots[10]], WHEEL, *side("R")))
+    both = ["coulomb_friction", "brush_voltage_drop"]
+    rungs = add(both, fitted, judge, WHEEL, *side("L"))
+    ladder("regbot, free-run speed of robots 03, 05 and 10, nothing fitted", rungs, "speed", "rad/s")
+    rungs = add(both, fitted, judge, WHEEL, *side("L"), "--differing", "ke")
+    ladder("regbot, the same, ke of each robot its own (blocks of time held out)", rungs, "speed", "rad/s")
+
+
+def fra233(folder: Path) -> None:
+    runs = {
+        n: folder / "fra233" / f"studyV4_{n}_1.csv.gz" for n in ("Chirp", "Stair", "Ramp", "Sine", "Step")
+    }
+    fitted = [runs["Chirp"], runs["Stair"]]
+    tell("fra233, chirp and stair, voltage and speed only", diagnose(fitted, MOTORS / "fra233.toml"))
+    rungs = add(["coulomb_friction"], fitted, [runs["Ramp"]], MOTORS / "fra233.toml")
+    ladder("fra233, free-run speed of the ramp", rungs, "speed", "rad/s")
+
+
+def ksu_thermal(folder: Path) -> None:
+    runs = sorted((folder / "ksu_thermal").glob("Spike-Mega-*.csv"))
+    fitted, judge = runs[0::2], runs[1::2]
+    options = ["--driven", "--column=temperature=4LHE Temp (ºF)", "--column=ambient=66NA Temp (ºF)"]
+    tell("ksu_thermal, Mega, one run of each day", diagnose(fitted, MOTORS / "mega.toml", *options))
+    rungs = add(["iron_heat_delay"], fitted, judge, MOTORS / "mega.toml", *options)
+    ladder("ksu_thermal, coil, the other run of each day", rungs, "temperature", "degC")
+
+
+def undcmotor(folder: Path) -> None:
+    names = ("prbs_open", "step_open", "stairs_closed", "profile_closed")
+    runs = [folder / "undcmotor" / f"DCmotor_{name}_exp.csv" for name in names]
+    answer = diagnose(runs, MOTORS / "undcmotor.toml", "--column=voltage=u", "--column=speed_deg_s=y")
+    tell("undcmotor, open and closed loop", answer)
+
+
+STUDIES = {"regbot": regbot, "fra233": fra233, "ksu_thermal": ksu_thermal, "undcmotor": undcmotor}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "folder", type=Path, help="the folder with regbot/, fra233/, ksu_thermal/ and undcmotor/"
+    )
+    parser.add_argument(
+        "--only", choices=sorted(STUDIES), nargs="+", default=list(STUDIES), help="some of the motors"
+    )
+    arguments = parser.parse_args()
+    if not arguments.folder.is_dir():
+        print(
+            f"{arguments.folder}: no such folder; the recordings are not part of this repository, nothing was done"
+        )
+        return 0
+    for name in arguments.only:
+        if (arguments.folder / name).is_dir():
+            STUDIES[name](arguments.folder)
+        else:
+            print(f"\n{name}: not in {arguments.folder}, skipped")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
