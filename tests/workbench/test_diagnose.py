@@ -5,14 +5,17 @@ test_hidden_effects.py.
 """
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from motorlens_physics.effect import catalogue
+from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
+from motorlens_physics.ops import exp, tanh, turning
+from motorlens_physics.parameter import param
 from motorlens_physics.recording import Recording, write_recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import sensor_catalogue
@@ -90,6 +93,34 @@ def test_no_decoy_is_ever_named(rough):
     _, document = diagnosed(rough, recorded(4, {"quadratic_drag": 2e-5}))
     assert "quadratic_drag" in {name for group in document["groups"] for name in group}
     assert "decoy" not in json.dumps(document)
+
+
+@dataclass(frozen=True)
+class FrictionBump(Effect):
+    """A torque against the motion, most at one speed: -A exp(-((|w| - w_b) / d)^2) sign(w). In no catalogue."""
+
+    A: float = param(0.0, "N*m", "most", bounds=(0.0, 1e3), prior=0.1, of="torque", null=0.0)
+    w_b: float = param(90.0, "rad/s", "where", bounds=(0.0, 1e3), prior=0.4, of="speed", fixed=True)
+    d: float = param(15.0, "rad/s", "width", bounds=(1.0, 1e3), prior=0.1, of="speed", fixed=True)
+
+    def torque(self, m: Any, x: Any, u: Any) -> Any:
+        return -self.A * exp(-(((turning(x.w) - self.w_b) / self.d) ** 2)) * tanh(x.w)
+
+
+def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
+    file = read_motor_file(MOTOR)
+    file = replace(file, motor=file.motor.with_effect(FrictionBump(A=1.0)))
+    rng = np.random.default_rng(7)
+    truth = perform(file, scenarios()["slow_ramp"](), rng)
+    _, document = diagnosed(rough, measure(truth, (), NOISE, rng))
+    assert document["verdict"] == "unknown"
+    assert document["chosen"] == []
+    assert document["equation"] == "mechanical"
+    shape = document["unknown_shape"]
+    assert shape["against"] == "speed"
+    x, y = np.array(shape["x"]), np.array(shape["y"])
+    moving = np.abs(x) > 20
+    assert abs(np.abs(x[moving][np.argmax(np.abs(y[moving]))]) - 90) < 25
 
 
 def test_the_commands_in_a_row(rough, tmp_path, capsys):
