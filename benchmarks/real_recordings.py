@@ -1,4 +1,4 @@
-"""Real motors: what the workbench says of other people's recordings, and how far the error falls on those it was not fitted to.
+"""Real motors: what the workbench says of other people's recordings, and how far the error falls on those not fitted.
 
 example:
   python benchmarks/real_recordings.py ../shared/recordings

@@ -40,10 +40,14 @@ def test_current_and_speed_are_imposed_and_the_warmth_follows() -> None:
     assert run.channels == ("temperature",)
     model = replace(start_model(file, [run]), held=(True,))
     trajectory, shown = predict(model, run, 0)
-    inner = np.flatnonzero(np.abs(np.gradient(recording.channels["current"])) == 0)[1:]
-    np.testing.assert_allclose(trajectory.current_A[inner], recording.channels["current"][inner], atol=0.05)
-    np.testing.assert_allclose(trajectory.speed_rad_s[inner], recording.channels["speed"][inner], atol=0.5)
-    assert 0.0 < np.max(np.abs(shown[:, 0] - recording.channels["temperature"])) < 0.15
+    # A source follows within a sample of each switching.
+    for drawn, asked in ((trajectory.current_A, "current"), (trajectory.speed_rad_s, "speed")):
+        off = np.abs(drawn - recording.channels[asked]) > 2e-3 * recording.channels[asked].max()
+        assert 0 < np.count_nonzero(off) <= 12
+    # The start is a median of the first samples; what that is off by has cooled away after 200 s.
+    off = np.abs(shown[:, 0] - recording.channels["temperature"])
+    assert 0.1 < np.max(off[:5]) < 1.0
+    assert 0.0 < np.max(off[400:]) < 0.05
 
 
 def test_only_what_is_thermal_is_fitted_and_the_rest_comes_back() -> None:
