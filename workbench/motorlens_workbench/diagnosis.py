@@ -56,6 +56,8 @@ Array = NDArray[np.float64]
 MOST = 3
 # By how much (logarithm of the error of a channel) another way to take the inputs must be better than the recorded one.
 BETTER_WAY = 0.0025
+# Share of what has been explained so far that a further effect must explain.
+AMONG = 0.003
 # 2 log likelihood by which a more involved effect must be better than a simpler one.
 AS_GOOD = 6.0
 
@@ -184,7 +186,7 @@ def investigate(
     steps: list[Step] = []
     failed: list[str] = []
     while len(steps) < MOST:
-        step, broken = advance(current, runs, say, failed)
+        step, broken = advance(current, runs, say, failed, sum(step.gain for step in steps))
         failed += broken
         if step is None:
             break
@@ -216,10 +218,11 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
         errors[0] -= BETTER_WAY * len(run.channels)
         slow, fast = errors[:, 0].reshape(-1, 2), errors[:, 1].reshape(-1, 2)
         held.append((shown, not shown)[int(np.argmin(slow.min(axis=0)))])
-        # Smoothing leaves slow errors of its own: what is fast tells whether the noise was truly applied.
-        noisy = len(fast) > 1 and fast[1].min() < fast[0].min()
+        smoother = len(slow) > 1 and slow[1].min() < slow[0].min()
+        # Smoothing leaves slow errors of its own; what is fast may still tell that the noise was not truly applied.
+        noisy = smoother or (len(fast) > 1 and fast[1].min() < fast[0].min())
         rough = replace(run, input_noise=quiet.input_noise) if noisy else run
-        chosen.append(quiet if noisy and slow[1].min() < slow[0].min() else rough)
+        chosen.append(quiet if smoother else rough)
     model = fits[-1 if any(run.smooth for run in chosen) else 0].model
     return fit(replace(model, held=tuple(held)), chosen, prior), tuple(chosen)
 
@@ -252,13 +255,17 @@ def threshold(now: Look, test: Test) -> float:
 
 
 def advance(
-    now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str]
+    now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str], explained: float = 0.0
 ) -> tuple[Step | None, list[str]]:
-    """Accept the candidate that the evidence prefers, if one is real and worth having; else None and what failed."""
+    """Accept the candidate that the evidence prefers, if one is real and worth having; else None and what failed.
+
+    `explained` is the gain of what was accepted before: a very small share of it may be that one's imperfection.
+    """
     broken: list[str] = []
     tests = {name: test for name, test in now.tests.items() if name not in avoid}
     for _ in range(3):
-        standing = [t for t in tests.values() if t.statistic > REAL and t.gain > WORTH * now.samples]
+        worth = max(WORTH * now.samples, AMONG * explained)
+        standing = [t for t in tests.values() if t.statistic > REAL and t.gain > worth]
         standing.sort(key=lambda test: -test.statistic)
         standing = [test for test in standing[:8] if test.statistic > threshold(now, test)]
         if not standing:

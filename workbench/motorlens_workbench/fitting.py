@@ -26,10 +26,10 @@ Array = NDArray[np.float64]
 RELATIVE_SD = {
     "R_a0": 0.4, "L": 0.5, "ke": 0.4, "J": 0.5, "b": 1.0, "alpha": 0.1, "k0": 0.5, "kT": 1.0, "k_ir": 1.0, "H": 0.5,
 }  # fmt: skip
-# A value whose source begins with this word is taken at its standard deviation (0: not fitted). That of a datasheet or a
-# former fit may promise too much, for a missing effect moves parameters: it counts, but no less than this share of the
-# above.
-MEASURED, FORMER = "measured", 0.25
+# A value whose source begins with the first word is taken at its standard deviation (0: not fitted); one with the second
+# was fitted while an effect was missing, and is as free as one without a source. A datasheet may promise too much: it
+# counts, but no less than this share of the above.
+MEASURED, FITTED, FORMER = "measured", "fitted to", 0.25
 # Nuisances are for small things: what would need more of them than this many standard deviations is something else.
 WITHIN = 4.0
 # An ambient that was not recorded is a room's.
@@ -100,7 +100,9 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
             continue
         centre[key] = values[key]
         least = 0.0 if sure else FORMER * relative * size
-        sd[key] = max(known.sd, least) if known.sd else relative * size
+        # What was fitted before an effect was added moves with it.
+        free = not known.sd or known.source.startswith(FITTED)
+        sd[key] = relative * size if free else max(known.sd or 0.0, least)
         bounds[key] = (max(what.bounds[0], 0.05 * values[key]), what.bounds[1])
     prior = Prior(centre, sd, bounds)
     for part in parts_of(file):
