@@ -119,7 +119,11 @@ def build(
     if calibration:
         calibration = [frame.relative(c) if frame else c for c in calibration]
         if frame:
-            silent = _worth(silent, calibration)
+            silent = _worth(
+                silent,
+                np.concatenate([c.y for c in calibration]),
+                np.concatenate([silent.evaluate(c.x)[0] for c in calibration]),
+            )
         read = [silent.read(c.x) for c in calibration]
         off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
         if frame:
@@ -129,8 +133,14 @@ def build(
         else:
             head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
     else:
-        head = np.zeros((len(recipe.outputs), width))
-        head[:, 0] = np.log(_crossed_errors(recipe, fitted) / trained.targets.deviation.numpy() ** 2 + 1e-10)
+        y, guess = _crossed(recipe, fitted)
+        if frame:
+            silent = _worth(silent, y, guess)
+            head = _scaled(_share(y, guess) * guess - y, width, 1.0)
+        else:
+            head = np.zeros((len(recipe.outputs), width))
+            head[:, 0] = np.log(((guess - y) ** 2).mean(0) + 1e-10 * trained.targets.deviation.numpy() ** 2)
+        head[:, 0] -= 2 * np.log(trained.targets.deviation.numpy())
     sensor = replace(silent, noise=_single(torch.from_numpy(head)), frame=frame)
     return Built(sensor, trained, _card(recipe, sensor, trained, training, unseen))
 
@@ -220,36 +230,43 @@ def _scaled(errors: Array, width: int, least: float) -> Array:
     return head
 
 
-def _worth(sensor: Sensor, calibration: Sequence[Cycle]) -> Sensor:
+def _worth(sensor: Sensor, y: Array, guess: Array) -> Sensor:
     """The sensor with each output's correction reduced to the share that is borne out on cycles not trained on.
 
-    Where the observer is as good as can be, a network finds nothing but the accidents of the cycles it has seen. The share
-    is that of least squares (stacked regression; Wolpert 1992, doi:10.1016/S0893-6080(05)80023-1), between 0 and 1;
-    an error of many deviations counts as one.
+    Where the observer is as good as can be, or the cycles are few, a network finds nothing but their accidents.
+
+    Args:
+        sensor: whose network corrects an observer.
+        y: `[N, K]` what the observer gets wrong, in its deviations, on cycles not trained on.
+        guess: `[N, K]` what the network says of it.
     """
-    y = np.concatenate([c.y for c in calibration])
-    found = np.concatenate([sensor.evaluate(c.x)[0] for c in calibration])
-    weight = 1 / (1 + y**2)
-    share = torch.from_numpy(
-        np.clip((weight * y * found).sum(0) / ((weight * found**2).sum(0) + 1e-12), 0.0, 1.0)
-    )
+    share = torch.from_numpy(_share(y, guess))
     network = replace(sensor.network, output=_single(sensor.network.output * share[:, None]))
     return replace(sensor, network=network, targets=replace(sensor.targets, mean=sensor.targets.mean * share))
 
 
-def _crossed_errors(recipe: Recipe, training: Sequence[Cycle]) -> Array:
-    """Mean square error on each cycle (or half of the only one) of a network trained on the others, `[K]`."""
+def _share(y: Array, guess: Array) -> Array:
+    """`[K]` share of a guess that least squares would take, between 0 and 1; an error of many deviations counts as one.
+
+    Stacked regression: Wolpert (1992), doi:10.1016/S0893-6080(05)80023-1.
+    """
+    weight = 1 / (1 + y**2)
+    return np.asarray(np.clip((weight * y * guess).sum(0) / ((weight * guess**2).sum(0) + 1e-12), 0.0, 1.0))
+
+
+def _crossed(recipe: Recipe, training: Sequence[Cycle]) -> tuple[Array, Array]:
+    """Targets and estimates `[N, K]` on each cycle (or half of the only one) by a network trained on the others."""
     folds = list(training)
     if len(folds) == 1:
         only, half = folds[0], len(folds[0].x) // 2
         folds = [_rows(only, slice(None, half)), _rows(only, slice(half, None))]
-    squares = []
+    targets, estimates = [], []
     for left_out in range(min(len(folds), 4)):
         others = [c for j, c in enumerate(folds) if j != left_out]
         trained = train(arrays(others), recipe.architecture, recipe.seed, recipe.settings)
-        estimate = trained.predict(torch.from_numpy(folds[left_out].x)).numpy()
-        squares.append((estimate - folds[left_out].y) ** 2)
-    return np.asarray(np.concatenate(squares).mean(0))
+        targets.append(folds[left_out].y)
+        estimates.append(trained.predict(torch.from_numpy(folds[left_out].x)).numpy())
+    return np.concatenate(targets), np.concatenate(estimates)
 
 
 def _rows(cycle: Cycle, which: slice) -> Cycle:
