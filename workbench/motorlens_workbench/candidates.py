@@ -138,6 +138,10 @@ def equation_of(effect: type[Effect]) -> str:
     return EQUATIONS["voltage" if defines[0] == "inductance" else defines[0]]
 
 
+# Points at which an effect of the shaft angle is taken within a sample.
+PHASES = 8
+
+
 @dataclass(frozen=True)
 class Forcing:
     """What is added to the three balances, (N,) or (N, k) each: V, N m, W."""
@@ -149,6 +153,8 @@ class Forcing:
 
 def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
     """What an effect at its present size would add along a trajectory, less what it adds at null."""
+    if "phi" in effect.states:
+        return _of_angle(effect, trajectory)
     motor = trajectory.motor
     switch = effect.switch()
     null = replace(effect, **{switch.name: switch.null})
@@ -166,6 +172,26 @@ def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
         )
         parts["voltage"] = parts["voltage"] - parts["inductance"] * slope
     return Forcing(parts["voltage"], parts["torque"], parts["heat"])
+
+
+def _of_angle(effect: Effect, trajectory: Trajectory) -> Forcing:
+    motor, u = trajectory.motor, inputs_at(trajectory)
+    x = _states(effect, trajectory, u)
+    ways = within_samples(x.phi)
+    sums = {name: np.zeros(len(u.t)) for name in ("voltage", "torque", "heat")}
+    for x.phi in ways:
+        for name in sums:
+            sums[name] += _array(getattr(effect, name)(motor, x, u), len(u.t)) / len(ways)
+    return Forcing(sums["voltage"], sums["torque"], sums["heat"])
+
+
+def within_samples(phi: Array) -> list[Array]:
+    """Shaft angles (N,) at points from half a sample before to half a sample after: what acts is the mean over them.
+
+    What goes round faster than it is sampled would else pass for something slow.
+    """
+    turn = np.gradient(phi)
+    return [phi + ((k + 0.5) / PHASES - 0.5) * turn for k in range(PHASES)]
 
 
 def inputs_at(trajectory: Trajectory) -> Any:

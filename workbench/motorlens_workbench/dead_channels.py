@@ -17,6 +17,7 @@ from motorlens_runtime.errors import ModelError
 from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
+from motorlens_workbench.whitening import quantisation_step
 
 Array = NDArray[np.float64]
 
@@ -105,7 +106,9 @@ def _judge(file: MotorFile, held: bool, run: Run, r: int, channel: str) -> DeadC
     begun = replace(start_model(file, [others]), held=(held,))
     try:
         alone = fit(begun, [others], base_prior(file, [others]))
-        said = predict(alone.model, run, 0)[1]
+        quiet = run.quieter()
+        said = predict(alone.model, quiet, 0)[1]
+        again = predict(alone.model, quiet.stirred(0, 1.0), 0)[1]
     except ModelError:
         return None
     fresh = run.fresh()
@@ -115,8 +118,11 @@ def _judge(file: MotorFile, held: bool, run: Run, r: int, channel: str) -> DeadC
             return None
     c = run.channels.index(channel)
     x, y = run.average(said)[fresh, c], run.average(run.measured)[fresh, c]
+    # Near standstill a prediction is little more than what noise and coarse steps of the inputs stir up.
+    if np.var(run.average(again - said)[fresh, c]) > (1 - TRUSTED) * np.var(x):
+        return None
     x, y = x - x.mean(), y - y.mean()
-    if np.std(x) < VISIBLE * np.std(y):
+    if np.std(x) < max(VISIBLE * np.std(y), quantisation_step(run.measured[:, c])):
         return None
     gain = float(x @ y / (x @ x))
     left = y - gain * x

@@ -21,6 +21,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
+from motorlens_workbench.candidates import within_samples
 from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
@@ -81,8 +82,11 @@ def motor_of(model: Model, run: Run) -> Motor:
 def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
     own, shown = model.own[r], run.inputs
-    at = SimpleNamespace(phi=run.angle)
-    detents = sum((effect.torque(model.file.motor, at, None) for effect in by_angle(model, run)), start=0.0)
+    detents = 0.0
+    for effect in by_angle(model, run):
+        assert run.angle is not None
+        ways = [SimpleNamespace(phi=phi) for phi in within_samples(run.angle)]
+        detents = detents + sum(effect.torque(model.file.motor, at, None) for at in ways) / len(ways)
     inputs = replace(
         shown,
         voltage_V=_unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V),

@@ -23,6 +23,8 @@ SAME = 0.9995
 GROUP = 6
 # A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
 BETTER = 0.15
+# The same for the size of what was named, as a curve: an effect whose size is no constant is not that effect.
+NOT_CONSTANT = 0.05
 
 
 @dataclass(frozen=True)
@@ -107,11 +109,12 @@ def group_of(step: Step) -> tuple[str, ...]:
 
 def structure(found: Finding) -> Bend | None:
     """The free curve that shows that something unnamed is left; None if what is left is noise."""
-    if not found.left:
-        return None
-    best = found.left[0]
     gain = sum(step.gain for step in found.steps)
-    return best if best.gain > max(WORTH * found.last.samples, BETTER * gain) else None
+    for bend in found.left:
+        own = bend.curve.term.partition(".")[0] in {step.test.candidate.name for step in found.steps}
+        if bend.gain > max(WORTH * found.last.samples, (NOT_CONSTANT if own else BETTER) * gain):
+            return bend
+    return None
 
 
 def probabilities(found: Finding, unknown: bool) -> dict[str, float]:
