@@ -24,7 +24,7 @@ KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 # The goals of the project are in the benchmark's table. What stands here is what these twelve gave when they were last
 # measured: a change that gives less has broken something, one that gives more is to move the bound.
 SHARE = 5
-MOST_ALARMS, MOST_WRONG, MOST_MISSED, MOST_OTHER, MOST_NAMED = 0, 1, 1, 1, 0
+MOST_ALARMS, MOST_WRONG, MOST_MISSED, MOST_OTHER, MOST_NAMED = 0, 0, 1, 1, 0
 
 
 def _truths() -> list[dict[str, Any]]:

@@ -23,10 +23,10 @@ from motorlens_workbench.variation import Variation, variations
 Array = NDArray[np.float64]
 
 BALANCES = ("voltage", "torque", "heat")
-# A free curve counts if it is this many standard deviations beyond chance, explains this many times what counts as real, and
-# has one knot that is real by itself; or else, of a curve that bends everywhere a little, more of the former.
-BENT, EXPLAINS = 8.0, 3.0
-BENT_AT_LARGE, EXPLAINS_AT_LARGE = 12.0, 6.0
+# A free curve counts if it is this many standard deviations beyond chance, explains this many times what counts as real for a
+# single column, and has one knot that is this many times real by itself: a small curve must be sharp, one that bends
+# everywhere a little must explain much.
+SHARP, PLAIN, AT_LARGE = (8.0, 3.0, 1.5), (8.0, 8.0, 1.0), (12.0, 6.0, 0.5)
 
 
 @dataclass(frozen=True)
@@ -91,15 +91,11 @@ def bends_of(left: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
 
 
 def _beyond_chance(bend: Bend, decoy: float) -> bool:
-    at_one = (
-        bend.deviations > BENT
-        and bend.gain > EXPLAINS * max(REAL, decoy)
-        and bend.best > max(REAL, 3 * decoy)
-    )
-    return at_one or (
-        bend.deviations > BENT_AT_LARGE
-        and bend.gain > EXPLAINS_AT_LARGE * max(REAL, decoy)
-        and bend.best > max(REAL / 2, 2 * decoy)
+    return any(
+        bend.deviations > bent
+        and bend.gain > explains * max(REAL, decoy)
+        and bend.best > best * max(REAL, 3 * decoy)
+        for bent, explains, best in (SHARP, PLAIN, AT_LARGE)
     )
 
 
