@@ -68,7 +68,8 @@ class Look:
 
     Attributes:
         found: the fit it was taken from, with the noise of this screen.
-        evidence: all columns.
+        evidence: all columns, without what errors of the inputs feign.
+        recorded: all columns, as recorded.
         left: what the fitted parameters leave.
         tests: every candidate.
         decoy: the best statistic that a decoy reaches.
@@ -79,6 +80,7 @@ class Look:
 
     found: Fit
     evidence: Evidence
+    recorded: Evidence
     left: Evidence
     tests: dict[str, Test]
     decoy: float
@@ -151,14 +153,15 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     columns, lines = all_columns(found, runs, listed, free)
     rest, spent = unexplained(columns, runs, plain_noise(found.residuals, runs), found.prior.keys)
     whiteners = noise_of(rest, runs, spent)
-    evidence = evidence_of(columns, runs, whiteners)
-    evidence = without_input_errors(evidence, found, runs, whiteners, listed, free, with_decoys=True)
+    recorded = evidence_of(columns, runs, whiteners)
+    evidence = without_input_errors(recorded, found, runs, whiteners, listed, free, with_decoys=True)
     evidence = with_priors(evidence, found)
     found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
     left = evidence.given(found.prior.keys)
     tests = test_all(left, listed, found.model)
     noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
-    return Look(found, evidence, left, tests, decoy_of(left), noise, columns, lines)
+    recorded = with_priors(recorded, found)
+    return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns, lines)
 
 
 def investigate(

@@ -210,7 +210,7 @@ def measured(now: Look, key: str) -> tuple[float, float]:
 
 def held_out(now: Look, found: Finding) -> dict[str, float]:
     """RMSE of each channel on blocks of time that the parameters were not fitted to, see `held_out_rmse`."""
-    return held_out_rmse(now.found, found.runs, now.columns, now.evidence)
+    return held_out_rmse(now.found, found.runs, now.columns, now.recorded)
 
 
 def noise_floor(now: Look, found: Finding) -> dict[str, float]:
