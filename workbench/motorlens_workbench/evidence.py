@@ -157,6 +157,15 @@ class Score:
         freedom = max(self.blocks - 1, 1.0)
         return float(fdtrc(k, freedom * 2, self.statistic / k))
 
+    def inflated(self, inflation: float) -> "Score":
+        """The same with another scatter."""
+        return replace(
+            self,
+            inflation=inflation,
+            statistic=self.gain / inflation,
+            covariance=self.covariance * (inflation / self.inflation),
+        )
+
     def detectable(self, statistic: float) -> float:
         """The size of the first column at which the statistic would be expected to reach this value."""
         return float(np.sqrt(statistic * self.inflation / max(self.information[0, 0], 1e-300)))

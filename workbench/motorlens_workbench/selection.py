@@ -29,6 +29,8 @@ REAL = 26.0
 WORTH = 1e-3
 
 
+# Shapes from which on their usual scatter counts.
+MANY = 5
 # Times the typical size that an effect, and a sensor's fault, may plausibly have.
 PLAUSIBLE = {"effect": 40.0, "sensor": 12.0}
 
@@ -77,8 +79,12 @@ def test_all(left: Evidence, listed: Sequence[Candidate], model: Model) -> dict[
     for candidate in listed:
         best: Test | None = None
         typical = candidate.typical(model.file)
-        for v, labels in enumerate(candidate.columns()):
-            tested = score(left, labels)
+        scores = [score(left, labels) for labels in candidate.columns()]
+        # The best of many shapes must not be the one whose scatter happens to be least.
+        usual = float(np.median([tested.inflation for tested in scores if tested] or [1.0]))
+        for v, tested in enumerate(scores):
+            if tested and len(scores) >= MANY and tested.inflation < usual:
+                tested = tested.inflated(usual)
             test = _sized(candidate, v, tested, typical)
             if best is None or (test.statistic, _information(test)) > (best.statistic, _information(best)):
                 best = test

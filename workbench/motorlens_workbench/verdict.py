@@ -23,8 +23,6 @@ SAME = 0.9995
 GROUP = 6
 # A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
 BETTER = 0.15
-# The same for the size of what was named, as a curve: an effect whose size is no constant is not that effect.
-NOT_CONSTANT = 0.05
 
 
 @dataclass(frozen=True)
@@ -111,8 +109,7 @@ def structure(found: Finding) -> Bend | None:
     """The free curve that shows that something unnamed is left; None if what is left is noise."""
     gain = sum(step.gain for step in found.steps)
     for bend in found.left:
-        own = bend.curve.term.partition(".")[0] in {step.test.candidate.name for step in found.steps}
-        if bend.gain > max(WORTH * found.last.samples, (NOT_CONSTANT if own else BETTER) * gain):
+        if bend.gain > max(WORTH * found.last.samples, BETTER * gain):
             return bend
     return None
 
