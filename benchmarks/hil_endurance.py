@@ -203,14 +203,16 @@ class Last:
     dead = False
 
     def __init__(self) -> None:
-        self.rows, self.time_ns, self.taken = 0, -1, 0
+        self.rows, self.repeats, self.time_ns, self.taken = 0, 0, -1, 0
 
     def report(self) -> OutletReport:
         return OutletReport("last", self.rows, 0, 0, None)
 
     def put(self, estimates: Estimates) -> None:
         # While nothing comes, the last estimate is published on, marked stale.
-        self.rows += int((estimates.quality & Quality.STALE == 0).sum())
+        stale = int((estimates.quality & Quality.STALE != 0).sum())
+        self.repeats += stale
+        self.rows += len(estimates.quality) - stale
         self.time_ns = int(estimates.time_ns[-1])
 
     def put_event(self, event: dict[str, object]) -> None:
@@ -294,15 +296,16 @@ def swapped(seconds: float) -> list[tuple[str, bool]]:
     count = int(seconds * 1000)
     print(
         f"{seconds:g} s at 1 kHz: {offers[0]} sensors offered, {outlet.taken} taken into service; "
-        f"{report['samples']} samples, {report['lost']} lost, {outlet.rows} estimates; memory of the second half "
-        f"{grown:+.0f} kB against the first; load of the machine {os.getloadavg()[0]:.1f}"
+        f"{report['samples']} samples, {report['lost']} lost, {outlet.rows} estimates and "
+        f"{outlet.repeats} stale repeats; memory of the second half {grown:+.0f} kB "
+        f"against the first; load of the machine {os.getloadavg()[0]:.1f}"
     )
     return [
         ("swaps: no sample lost, none invented", report["samples"] == count and report["lost"] == 0),
         ("swaps: an estimate each", outlet.rows == count),
-        ("swaps: most were taken", outlet.taken >= 0.9 * offers[0] - 5),
-        # A short run is all warm-up.
-        ("swaps: memory flat within 1 MB", abs(grown) <= 1024 or seconds < 300),
+        # The last one offered may still be in its shadow run when the line ends.
+        ("swaps: nine of ten were taken", outlet.taken >= 0.9 * (offers[0] - 1)),
+        ("swaps: memory flat within 1 MB", abs(grown) <= 1024),
     ]
 
 

@@ -89,15 +89,18 @@ def test_interruption_keeps_what_was_reached() -> None:
 
 
 def test_validation_stops_and_the_best_weights_are_kept() -> None:
-    """With a twentieth of the noise's worth of regularisation taken away, the validation error has a minimum."""
+    """Sixty noisy samples and a large network: from most starts the validation error has a minimum before the end."""
     data, unseen = task(60, noise=0.6), task(500, seed=8, noise=0.6)
     settings = replace(SMALL, patience=5)
-    trained = train(data, Architecture(4, (12, 8), 2), 1, settings, validation=unseen)
-    means = [np.mean(np.square(record.validation or [np.inf])) for record in trained.history]
-    reached = (trained.targets.scale(trained.predict(torch.from_numpy(unseen.x))) - trained.targets.scale(
-        torch.from_numpy(unseen.y))).square().mean(0)  # fmt: skip
-    assert float(reached.mean()) == pytest.approx(min(means), rel=1e-3)
-    assert min(means) < means[-1]
+    turned = 0
+    for seed in (1, 2, 3):
+        trained = train(data, Architecture(4, (12, 8), 2), seed, settings, validation=unseen)
+        means = [np.mean(np.square(record.validation or [np.inf])) for record in trained.history]
+        predicted = trained.targets.scale(trained.predict(torch.from_numpy(unseen.x)))
+        reached = (predicted - trained.targets.scale(torch.from_numpy(unseen.y))).square().mean()
+        assert float(reached) == pytest.approx(min(means), rel=1e-3)
+        turned += min(means) < means[-1]
+    assert turned >= 2
 
 
 def test_objective_never_rises_while_regularisation_stands() -> None:

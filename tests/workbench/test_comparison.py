@@ -16,7 +16,8 @@ from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording, read_recording, write_recording
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.comparison import compare, lowpass, noise_floor
+from motorlens_workbench.balances import lowpass
+from motorlens_workbench.comparison import compare, noise_floor
 from motorlens_workbench.comparison_report import to_html, to_json
 from motorlens_workbench.report import thinned
 

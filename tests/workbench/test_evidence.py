@@ -6,7 +6,6 @@ import pytest
 from motorlens_workbench.evidence import (
     Evidence,
     curve_gain,
-    largest_by_chance,
     score,
     similarity,
     statistics,
@@ -87,21 +86,18 @@ def test_a_copy_of_an_accepted_column_says_nothing(problem):
 
 
 def test_rates_under_the_null_are_nominal():
-    """White noise: p values below 5 % in 5 % of cases, and the bootstrap's 95 % bound exceeded in 5 %."""
+    """White noise: p values below 5 % in 5 % of cases, and few curves beyond chance."""
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((3200, 12))
-    below = exceeded = curves = 0
+    below = curves = 0
     runs = 300
     for _ in range(runs):
         left = evidence_of(columns, rng.standard_normal(3200), 32).given(["c0", "c1"])
         names = [f"c{k}" for k in range(2, 12)]
         tests = [score(left, [name]) for name in names]
         below += sum(test.p < 0.05 for test in tests if test)
-        bound = largest_by_chance(left, [[name] for name in names], rng, 100)[94]
-        exceeded += max(test.statistic for test in tests if test) > bound
         curves += curve_gain(left, names)[1] > 2.0
     assert 0.025 < below / (10 * runs) < 0.065
-    assert 0.01 < exceeded / runs < 0.13  # few blocks: their scatter is estimated from themselves
     assert curves / runs < 0.08
 
 

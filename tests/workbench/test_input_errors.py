@@ -81,7 +81,7 @@ def test_least_squares_is_freed_of_the_bias_of_a_noisy_voltage():
         )  # fmt: skip
         found, runs = base_fit(file, (prepare(recording, file),))
         assert runs[0].input_noise[0].white == pytest.approx(0.5, rel=0.1)
-        columns, _ = all_columns(found, runs, (), (), with_decoys=False)
+        columns = all_columns(found, runs, (), (), with_decoys=False)
         evidence = evidence_of(columns, runs, found.whiteners)
         clean = without_input_errors(evidence, found, runs, found.whiteners, (), (), with_decoys=False)
         keys = found.prior.keys

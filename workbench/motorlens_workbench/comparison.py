@@ -1,18 +1,14 @@
 """How far a motor file is from recordings, and where: by channel, equation, operating region, time scale and shaft angle.
 
 Nothing in the motor is fitted: the model runs freely from the first samples of each recording, driven by the measured
-voltage, load and ambient. Beside it each equation is driven by the measured others, low-passed so that no derivative is
-taken of noise: J (w - LP(w)) / T - LP(torque) is the torque that the mechanical equation lacks
-(Young 1981, doi:10.1016/0005-1098(81)90082-0). Which equation is to blame is a question of its own: how much of the error
-of the free run a free force in that equation, and in no other, would take away.
+voltage, load and ambient. Which equation is to blame is a question of its own: how much of the error of the free run a
+free force in that equation, and in no other, would take away.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from motorlens_physics.motor_file import MotorFile
@@ -20,15 +16,15 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import TimeConstants, time_constants
 from motorlens_physics.simulation import Trajectory
 from motorlens_runtime.errors import DataError, ModelError
+from motorlens_workbench.balances import EQUATIONS, missing_of
 from motorlens_workbench.candidates import curves
 from motorlens_workbench.fitting import start_model
-from motorlens_workbench.model import Model, inputs_of, predict
+from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import STATE_OF, UNIT_OF, Run, prepare
 from motorlens_workbench.screen import Line
 
 Array = NDArray[np.float64]
 
-EQUATIONS = {"electrical": "V", "mechanical": "N*m", "thermal": "W"}
 _BALANCE = {"electrical": "voltage", "mechanical": "torque", "thermal": "heat"}
 # Cells of the map of speed and current, in each direction; cells with fewer samples say nothing.
 CELLS, FEWEST = 6, 20
@@ -139,23 +135,6 @@ def noise_floor(error: Array) -> float:
     return spread or float(np.sqrt(np.mean(bent**2) / 6))
 
 
-def lowpass(y: Array, time_s: Array, tau_s: float) -> Array:
-    """First-order low-pass of (N,) samples that run linearly in between, exact for uneven spacing; starts at y[0]."""
-    dt = np.diff(time_s)
-    return np.asarray(_follow(y, np.diff(y) / dt, np.exp(-dt / tau_s), tau_s))
-
-
-@njit(cache=True)
-def _follow(y, slope, keep, tau):  # type: ignore[no-untyped-def]
-    # Exact for a ramp: s' = y1 - slope tau + (s - y0 + slope tau) keep.
-    out = np.empty_like(y)
-    out[0] = y[0]
-    for k in range(len(slope)):
-        lag = slope[k] * tau
-        out[k + 1] = y[k + 1] - lag + (out[k] - y[k] + lag) * keep[k]
-    return out
-
-
 def _overlay(model: Model, run: Run, r: int) -> Overlay:
     try:
         trajectory, predicted = predict(model, run, r)
@@ -164,44 +143,7 @@ def _overlay(model: Model, run: Run, r: int) -> Overlay:
     errors = run.measured - predicted
     fine = run.floor * np.sqrt(run.every)
     noise = np.array([max(noise_floor(errors[run.valid, k]), fine[k]) for k in range(len(run.channels))])
-    return Overlay(run, trajectory, predicted, noise, _missing(model, run, r, trajectory))
-
-
-def _missing(model: Model, run: Run, r: int, trajectory: Trajectory) -> dict[str, Array]:
-    """What each equation lacks, (N,), with measured states wherever there are some and simulated ones elsewhere."""
-    motor, inputs = model.file.motor, inputs_of(model, run, r)
-    states = dict(trajectory.states)
-    for k, channel in enumerate(run.channels):
-        shift = inputs.ambient_C if channel == "temperature" else 0.0
-        states[STATE_OF[channel]] = run.measured[:, k] - shift
-    x = SimpleNamespace(**states)
-    u = SimpleNamespace(
-        v=inputs.voltage_V, load=inputs.load_torque_Nm, ambient=inputs.ambient_C, t=inputs.time_s
-    )
-    pace = time_constants(motor)
-    masses = (motor.L, motor.J, motor.H)
-    reach = filter_times(run, pace)
-    missing = {}
-    for name, balance, mass, state in zip(
-        EQUATIONS, motor.balances(x, u), masses, STATE_OF.values(), strict=True
-    ):
-        tau = reach[name]
-        smooth = lowpass(
-            np.broadcast_to(balance, run.inputs.time_s.shape).astype(np.float64), inputs.time_s, tau
-        )
-        rate = (states[state] - lowpass(states[state], inputs.time_s, tau)) / tau
-        missing[name] = mass * rate - smooth
-    return missing
-
-
-def filter_times(run: Run, pace: TimeConstants) -> dict[str, float]:
-    """Time constant of the low-pass in each equation, s: some samples, or the equation's own pace if that is slower."""
-    few = 4 * run.period_s
-    return {
-        "electrical": max(few, pace.electrical_s),
-        "mechanical": max(few, 0.3 * pace.mechanical_s),
-        "thermal": max(few, 0.02 * pace.thermal_s),
-    }
+    return Overlay(run, trajectory, predicted, noise, missing_of(model, run, r, trajectory))
 
 
 def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from motorlens_physics.scenario import time_constants
-from motorlens_workbench.comparison import EQUATIONS, Comparison, Overlay, remark, spectrum
+from motorlens_workbench.balances import EQUATIONS
+from motorlens_workbench.comparison import Comparison, Overlay, remark, spectrum
 from motorlens_workbench.report import (
     LACKING,
     MEASURED,

@@ -32,7 +32,6 @@ from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import Run, prepare
 from motorlens_workbench.screen import (
     Columns,
-    Line,
     all_columns,
     evidence_of,
     unexplained,
@@ -75,7 +74,6 @@ class Look:
         decoy: the best statistic that a decoy reaches.
         noise: (C,) per run, standard deviation of what nothing explains.
         columns: unwhitened, per run.
-        lines: the linearised problem, per run.
     """
 
     found: Fit
@@ -86,7 +84,6 @@ class Look:
     decoy: float
     noise: tuple[Array, ...]
     columns: list[Columns]
-    lines: list[Line]
 
     @property
     def samples(self) -> float:
@@ -150,7 +147,7 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     listed = candidates(found.model.file, outputs, inputs, own)
     trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
     free = curves(trajectories, BALANCES)
-    columns, lines = all_columns(found, runs, listed, free)
+    columns = all_columns(found, runs, listed, free)
     rest, spent = unexplained(columns, runs, plain_noise(found.residuals, runs), found.prior.keys)
     whiteners = noise_of(rest, runs, spent)
     recorded = evidence_of(columns, runs, whiteners)
@@ -161,7 +158,7 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     tests = test_all(left, listed, found.model)
     noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
     recorded = with_priors(recorded, found)
-    return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns, lines)
+    return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns)
 
 
 def investigate(
@@ -349,4 +346,4 @@ def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fi
     return Step(chosen, found, gain, losses, alike, {k: v for k, v in refits.items() if k != winner})
 
 
-__all__ = ["Bend", "Candidate", "Finding", "Line", "Look", "Model", "Step", "investigate", "look"]
+__all__ = ["Bend", "Candidate", "Finding", "Look", "Model", "Step", "investigate", "look"]

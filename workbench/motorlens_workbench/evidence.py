@@ -6,8 +6,7 @@ on the products of columns with each other and with the residual, kept per block
 shows as scatter between blocks.
 
 Lagrange-multiplier (score) test: Breusch and Pagan (1980), doi:10.2307/2297111. Scatter between blocks: Liang and Zeger
-(1986), doi:10.1093/biomet/73.1.13. Wild bootstrap of the largest statistic: Romano and Wolf (2005),
-doi:10.1111/j.1468-0262.2005.00615.x.
+(1986), doi:10.1093/biomet/73.1.13.
 """
 
 from collections.abc import Sequence
@@ -236,24 +235,6 @@ def similarity(left: Evidence, names: Sequence[str]) -> Array:
     inner = left.total[np.ix_(at, at)]
     scale = np.maximum(np.diagonal(inner), 1e-300)
     return np.asarray(inner**2 / np.outer(scale, scale))
-
-
-def largest_by_chance(
-    left: Evidence, groups: Sequence[Sequence[str]], rng: np.random.Generator, draws: int = 400
-) -> Array:
-    """Sorted draws of the largest statistic over single columns when nothing is there, by flipping signs of blocks.
-
-    Every group is represented by its columns one at a time; the correlation between candidates is kept.
-    """
-    at = left.index([name for group in groups for name in group])
-    total = left.total
-    power = np.maximum(np.diagonal(total)[at], 1e-300)
-    coefficient = total[at, -1] / power
-    diagonal = left.blocks[:, at, at]
-    scores = left.blocks[:, at, -1] - diagonal * coefficient
-    flips = rng.choice([-1.0, 1.0], (draws, len(scores)))
-    spread = np.maximum((scores**2).sum(axis=0), power)
-    return np.sort(np.max((flips @ scores) ** 2 / spread, axis=1))
 
 
 def curve_gain(left: Evidence, names: Sequence[str]) -> tuple[float, float, Score | None]:

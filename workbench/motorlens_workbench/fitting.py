@@ -338,11 +338,6 @@ def _inverse(gram: Array) -> Array:
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
 
 
-def effect_channel(file: MotorFile, name: str) -> str | None:
-    """The channel of a sensor model by name, None for an effect."""
-    return next((sensor.channel for sensor in file.sensors if sensor.name() == name), None)
-
-
 __all__ = [
     "RATED_OF_CHANNEL",
     "STATE_OF",

@@ -59,7 +59,7 @@ def feigned(
         moved = [run.stirred(*which) for run in runs]
         columns = []
         for r, (truth, other) in enumerate(zip(truths, moved, strict=True)):
-            one, _ = columns_of(model, other, r, prior.keys, prior.sd, listed, free, with_decoys)
+            one = columns_of(model, other, r, prior.keys, prior.sd, listed, free, with_decoys)
             one.residual[:] += truth - other.average(other.measured)
             columns.append(one)
         return products_with_residual(columns, moved, whiteners)

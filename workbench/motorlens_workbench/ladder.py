@@ -186,7 +186,7 @@ def _described(
     fitted_to: Sequence[Recording],
     differing: Sequence[str],
 ) -> Rung:
-    columns, _ = all_columns(found, runs, (), (), with_decoys=False)
+    columns = all_columns(found, runs, (), (), with_decoys=False)
     evidence = with_priors(evidence_of(columns, runs, found.whiteners), found)
     source = "fitted to " + ", ".join(recording.name for recording in fitted_to or ())
     spread = found.sd()
@@ -224,7 +224,7 @@ def judged(
         model = replace(start_model(file, [run]), held=(bool(held[0]) if held else False,))
         if differing:
             found = fit(model, [run], _only(base_prior(file, [run]), differing))
-            columns, _ = all_columns(found, [run], (), (), with_decoys=False)
+            columns = all_columns(found, [run], (), (), with_decoys=False)
             evidence = with_priors(evidence_of(columns, [run], found.whiteners), found)
             error = held_out_errors(found, [run], columns, evidence)[0]
             error = error[run.fresh()]

@@ -64,7 +64,7 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
     free: list[Curve | Variation] = [c for c in curves(trajectories, BALANCES) if not _disturbance(c)]
     free += variations(found.model.file, trajectories, outputs)
-    columns, _ = all_columns(found, runs, (), free, with_decoys=False)
+    columns = all_columns(found, runs, (), free, with_decoys=False)
     evidence = evidence_of(columns, runs, found.whiteners)
     evidence = without_input_errors(evidence, found, runs, found.whiteners, (), free, with_decoys=False)
     left = with_priors(evidence, found).given(found.prior.keys)

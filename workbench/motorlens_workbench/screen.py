@@ -157,7 +157,7 @@ def columns_of(
     listed: Sequence[Candidate],
     free_curves: Sequence[Curve | Variation],
     with_decoys: bool = True,
-) -> tuple[Columns, Line]:
+) -> Columns:
     """All columns of one run.
 
     Args:
@@ -203,7 +203,7 @@ def columns_of(
         at += width
     table[:, :, at:-1] = line.of_forcings(list(false.values()))
     table[:, :, -1] = run.average(run.measured - y)
-    return Columns(tuple(names), table), line
+    return Columns(tuple(names), table)
 
 
 def _chunks(effects: list[Effect]) -> Iterator[list[Effect]]:
@@ -284,14 +284,13 @@ def all_columns(
     listed: Sequence[Candidate],
     free_curves: Sequence[Curve | Variation],
     with_decoys: bool = True,
-) -> tuple[list[Columns], list[Line]]:
+) -> list[Columns]:
     """The columns of every run in one pass."""
     scales = dict(found.prior.sd)
-    pairs = [
+    return [
         columns_of(found.model, run, r, found.prior.keys, scales, listed, free_curves, with_decoys)
         for r, run in enumerate(runs)
     ]
-    return [columns for columns, _ in pairs], [line for _, line in pairs]
 
 
 def with_priors(evidence: Evidence, found: Fit) -> Evidence:

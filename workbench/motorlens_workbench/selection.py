@@ -237,10 +237,5 @@ def total(found: Fit) -> float:
     return found.error + found.penalty
 
 
-def effect_names(model: Model) -> list[str]:
-    """Effects and sensor models of a model."""
-    return [part.name() for part in parts_of(model.file)]
-
-
 Progress = Callable[[str], None]
 __all__ = ["Effect", "Progress", "Test", "likeness", "refit", "rivals", "test_all", "total", "with_candidate"]
