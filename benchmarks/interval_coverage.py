@@ -107,7 +107,8 @@ def main() -> None:
     repetitions, rows = (4, 4000) if arguments.quick else (arguments.repetitions, arguments.rows)
     print(f"{rows} samples, {repetitions} repetitions")
     print(
-        f"{'functions':>12}{'correlation':>12}{'covers':>13}{'last layer':>12}{'untempered':>12}{'tau':>8}{'rms error':>11}{'without':>12}"
+        f"{'functions':>12}{'correlation':>12}{'covers':>13}{'last layer':>12}{'untempered':>12}{'tau':>8}"
+        f"{'rms error':>11}{'without':>12}"
     )
     seeds = range(arguments.first_seed, arguments.first_seed + repetitions)
     for unit, time in itertools.product((True, False), times):
@@ -115,8 +116,8 @@ def main() -> None:
         mean = found.mean(0)
         spread = found[:, 0].std() / np.sqrt(repetitions)
         print(
-            f"{'scaled' if unit else 'as they fall':>12}{time:12g}{mean[0]:8.1f}±{spread:3.1f}{mean[1]:12.1f}{mean[2]:12.1f}{np.median(found[:, 3]):8.1f}"
-            f"{mean[4]:11.4f}{mean[5]:12.4f}",
+            f"{'scaled' if unit else 'as they fall':>12}{time:12g}{mean[0]:8.1f}±{spread:3.1f}{mean[1]:12.1f}"
+            f"{mean[2]:12.1f}{np.median(found[:, 3]):8.1f}{mean[4]:11.4f}{mean[5]:12.4f}",
             flush=True,
         )
 
