@@ -107,7 +107,7 @@ def _distance(
     run = prepare(recording, file)
     model = start_model(file, [run])
     prior = base_prior(file, [run])
-    columns, _ = columns_of(model, run, 0, prior.keys, dict(prior.sd), listed, (), with_decoys=False)
+    columns = columns_of(model, run, 0, prior.keys, dict(prior.sd), listed, (), with_decoys=False)
     # Noise per averaged row, as the recordings had it per row.
     whitener = white(np.array([floor[channel] for channel in run.channels]))
     z = whitener(columns.values).reshape(-1, columns.values.shape[2])
