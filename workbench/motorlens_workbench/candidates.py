@@ -8,7 +8,7 @@ a small grid. Sensor faults, free curves and decoys stand in the same list.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numba
@@ -35,12 +35,14 @@ class Candidate:
         kind: "effect" or "sensor".
         equation: "electrical", "mechanical", "thermal", "coupling", or the channel of a sensor.
         variants: the shapes tried; each is one or several columns fitted together (a sine and a cosine).
+        most: the largest size, away from null, that the recordings leave possible.
     """
 
     name: str
     kind: str
     equation: str
     variants: tuple[tuple[Effect | SensorModel, ...], ...]
+    most: float = float("inf")
 
     def columns(self) -> list[list[str]]:
         """Names of the columns, per variant."""
@@ -71,7 +73,11 @@ class Candidate:
 
 
 def candidates(
-    file: MotorFile, channels: Sequence[str], inputs: Sequence[str], own: Sequence[type[Effect]] = ()
+    file: MotorFile,
+    channels: Sequence[str],
+    inputs: Sequence[str],
+    own: Sequence[type[Effect]] = (),
+    offset_below: Mapping[str, float] = MappingProxyType({}),
 ) -> list[Candidate]:
     """All effects the motor lacks, and all faults of the sensors that were recorded, one list.
 
@@ -80,6 +86,7 @@ def candidates(
         channels: outputs measured in at least one run.
         inputs: inputs measured, "voltage" among them.
         own: effects from outside the catalogue.
+        offset_below: channel -> the largest offset that its sensor can have, where that is known.
     """
     present = {part.name() for part in file.motor.effects} | {part.name() for part in file.sensors}
     found = []
@@ -90,7 +97,8 @@ def candidates(
         found.append(Candidate(effect.name(), "effect", equation_of(effect), variants))
     for name, sensor in sensor_catalogue().items():
         if name not in present and sensor.channel in (*channels, *inputs):
-            found.append(Candidate(name, "sensor", sensor.channel, ((sensor.typical(file.rated),),)))
+            most = offset_below.get(sensor.channel, float("inf")) if sensor.kind == "offset" else float("inf")
+            found.append(Candidate(name, "sensor", sensor.channel, ((sensor.typical(file.rated),),), most))
     return found
 
 

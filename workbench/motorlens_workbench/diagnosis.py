@@ -144,7 +144,10 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     """Screen everything from a fitted model."""
     outputs = sorted({channel for run in runs for channel in run.channels})
     inputs = ("voltage", *sorted({q for run in runs for q in run.known}))
-    listed = candidates(found.model.file, outputs, inputs, own)
+    exact: dict[str, float] = {}
+    for run in runs:
+        exact |= {q: min(limit, exact.get(q, limit)) for q, limit in run.offset_below.items()}
+    listed = candidates(found.model.file, outputs, inputs, own, exact)
     trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
     free = curves(trajectories, BALANCES)
     columns = all_columns(found, runs, listed, free)

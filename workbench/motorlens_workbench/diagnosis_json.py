@@ -100,7 +100,12 @@ def _candidate(found: Finding, verdict: Verdict, name: str) -> dict[str, Any]:
         "why_not": "" if score else "a copy of what the base parameters already do",
     }
     if score is not None and not test.allowed:
-        entry["why_not"] = "the wrong sign: it would stand for something else"
+        at_rest = abs(test.size) > test.candidate.most
+        entry["why_not"] = (
+            "its sensor shows exactly zero at rest"
+            if at_rest
+            else "the wrong sign: it would stand for something else"
+        )
     for step in found.steps:
         fit = step.found if step.test.candidate.name == name else step.refits.get(name)
         if fit is not None:

@@ -4,8 +4,8 @@ Rows are averaged in groups of `every` after simulation, so that an hour at 10 H
 than some 30 000 rows; the simulation itself runs on every sample.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "
 ROWS = 30_000
 # Levels up to the largest value below which these are no converter's, but steps of a command.
 COARSEST = 32
+# Consecutive samples of exactly 0, at the start or the end, that are no chance.
+AT_REST = 5
 # The ambient temperature is averaged over this long.
 AMBIENT_S = 60.0
 
@@ -47,6 +49,7 @@ class Run:
         input_noise: of the voltage (V) and the load torque (N m), where it is their sensors' and was not truly applied.
         smooth: whether it was smoothed away as far as it can be.
         input_step: the least significant bit of either, 0 if continuous.
+        offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Run:
     input_noise: tuple[Noise, Noise] = (Noise(), Noise())
     input_step: tuple[float, float] = (0.0, 0.0)
     smooth: bool = False
+    offset_below: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -179,9 +183,28 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     if angle is not None and not np.isfinite(angle).all():
         angle = None
     coarse = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
+    exact = {
+        q: limit for q in ("voltage", *used) if (limit := largest_offset(recording.channels[q])) is not None
+    }
     return Run(
-        recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse
-    )
+        recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse,
+        offset_below=exact,
+    )  # fmt: skip
+
+
+def largest_offset(y: Array) -> float | None:
+    """The largest offset of a sensor that shows exactly 0 at the start or the end; None if it does not.
+
+    A sensor with an offset shows the offset at rest, and noise around it; one that counts (an encoder) shows 0. An offset
+    below half its smallest step could hide.
+
+    >>> largest_offset(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.2, 0.9, 1.4]))
+    0.1
+    """
+    if not (np.all(y[:AT_REST] == 0) or np.all(y[-AT_REST:] == 0)):
+        return None
+    shown = np.abs(y[np.isfinite(y) & (y != 0)])
+    return float(0.5 * shown.min()) if len(shown) else None
 
 
 def _least_bit(y: Array) -> float:

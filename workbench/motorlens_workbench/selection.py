@@ -112,7 +112,7 @@ def _sized(candidate: Candidate, v: int, tested: Score | None, typical: float) -
     slack = 2 * abs(typical) * float(np.sqrt(tested.covariance[0, 0]))
     within = low - slack <= switch.null + size <= high + slack
     # A size far beyond what such an effect can have is the mark of a column that hardly differs from a base parameter's.
-    plausible = abs(size) < PLAUSIBLE[candidate.kind] * abs(typical) + slack
+    plausible = abs(size) < min(PLAUSIBLE[candidate.kind] * abs(typical), candidate.most) + slack
     return Test(candidate, v, tested, size, within and plausible, typical)
 
 
@@ -165,6 +165,7 @@ def _possible(test: Test, coefficient: float) -> bool:
     return (
         switch.bounds[0] <= switch.null + size <= switch.bounds[1]
         and abs(coefficient) < PLAUSIBLE[test.candidate.kind] / 2
+        and abs(size) < test.candidate.most
     )
 
 

@@ -1,0 +1,56 @@
+"""What a prepared recording tells of its sensors: an exact zero at rest leaves no room for an offset."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_workbench.candidates import candidates
+from motorlens_workbench.diagnosis import base_fit, look
+from motorlens_workbench.run import largest_offset, prepare
+
+MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+
+
+@pytest.mark.parametrize(
+    ("shown", "largest"),
+    [
+        ([0, 0, 0, 0, 0, 3.0, 3.4, 3.2, 3.1, 3.3], 1.5),  # an encoder at rest, then running
+        ([3.0, 3.4, 3.2, 3.1, 3.3, 0, 0, 0, 0, 0], 1.5),  # at rest in the end
+        ([0.4, 0.4, 0.4, 0.4, 0.4, 3.4, 3.8, 3.6, 3.5, 3.7], None),  # the same with an offset
+        ([0.1, -0.2, 0, 0.2, -0.1, 3.0, 3.4, 3.2, 3.1, 3.3], None),  # noise around zero
+        ([3.0, 0, 0, 0, 0, 0, 3.4, 3.2, 3.1, 3.3], None),  # passing zero slowly, on a coarse converter
+        ([0] * 10, None),  # nothing at all: no word on offsets
+    ],
+)
+def test_only_an_exact_zero_at_rest_bounds_the_offset(shown, largest):
+    assert largest_offset(np.array(shown, dtype=float)) == largest
+
+
+def wheel(offset: float) -> Recording:
+    """An encoder that shows whole steps of 0.2 rad/s, at rest first; its reading is shifted by `offset` while it turns."""
+    time = np.arange(2000) / 1000
+    voltage = np.where(time < 0.1, 0.0, 60.0 + 30.0 * np.sign(np.sin(7 * time)))
+    rng = np.random.default_rng(0)
+    current, speed = np.zeros_like(time), np.zeros_like(time)
+    i = w = 0.0
+    for k, v in enumerate(voltage):
+        current[k], speed[k] = i, w
+        for _ in range(10):
+            i += 1e-4 * (v - 3.5 * i - 0.93 * w) / 0.034
+            w += 1e-4 * (0.93 * i - 0.0018 * w) / 0.032
+    speed = np.where(speed > 0, np.round((speed + offset + 0.1 * rng.standard_normal(2000)) / 0.2) * 0.2, 0.0)
+    current += 0.05 * rng.standard_normal(2000)
+    return Recording("wheel", time, {"voltage": voltage, "current": current, "speed": speed})
+
+
+def test_an_offset_that_the_rest_forbids_is_no_candidate():
+    file = read_motor_file(MOTOR)
+    used, runs = base_fit(file, [prepare(wheel(4.0), file)])
+    seen = look(used, runs).tests["speed_sensor_offset"]
+    assert seen.score is not None and seen.score.statistic > 26
+    assert seen.candidate.most == pytest.approx(2.1) and not seen.allowed and seen.statistic == 0
+    free = {c.name: c for c in candidates(file, ["speed"], ["voltage"])}
+    assert free["speed_sensor_offset"].most == np.inf
