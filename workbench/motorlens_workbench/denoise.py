@@ -26,12 +26,40 @@ PIECE, LOUD, LAGS, LASTS = 64, 4.0, (0, 1, 2, 4, 8, 16), 0.2
 KEEPS = (0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
 
 
-def noise_sd(y: Array) -> float:
-    """Standard deviation of white noise on a signal that is mostly smooth, from its second differences."""
+# Samples in a piece of a coarsely converted signal; within how many steps, or deviations of its noise, it is steady;
+# how many such pieces are needed.
+STEADY, WITHIN, APART, FEWEST = 16, 3.0, 8.0, 8
+
+
+def noise_sd(y: Array, step: float = 0.0) -> float:
+    """Standard deviation of white noise on a signal that is mostly smooth, from its second differences.
+
+    Args:
+        y: (N,) evenly sampled.
+        step: least significant bit of its converter, 0 if it looks continuous. Noise below it shows in how often a steady
+            signal toggles between two levels.
+    """
     if len(y) < 16:
         return 0.0
     second = np.diff(y, 2)
-    return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6))
+    at_first_sight = float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6))
+    if step > 0:
+        pieces = len(y) // STEADY
+        cut = y[: pieces * STEADY].reshape(pieces, STEADY)
+        steady = cut[np.ptp(cut, axis=1) <= max(WITHIN * step, APART * at_first_sight)]
+        if len(steady) >= FEWEST:
+            return _before_conversion(float(np.mean(np.diff(steady, 2, axis=1) ** 2)) / 6, step)
+    return at_first_sight
+
+
+def _before_conversion(toggling: float, step: float) -> float:
+    """Standard deviation of the noise under a converter whose output scatters with the variance `toggling`.
+
+    Averaged over where the signal lies between two levels: small noise toggles near a level's border only, with the variance
+    step sd / sqrt(pi); large noise is scattered once more by the converter, with step^2 / 12.
+    """
+    small = toggling * np.sqrt(np.pi) / step
+    return float(small if small < 0.5 * step else np.sqrt(max(toggling - step**2 / 12, 0.25 * step**2)))
 
 
 @dataclass(frozen=True)
@@ -57,15 +85,15 @@ class Noise:
         return np.asarray(self.white * rng.standard_normal(rows) + lfilter([1.0], [1.0, -self.keep], fresh))
 
 
-def noise_of_input(y: Array) -> Noise:
+def noise_of_input(y: Array, step: float = 0.0) -> Noise:
     """The noise on a signal that is mostly steady or sloping: what lines through its quieter pieces leave.
 
     The autocovariance of what is left tells the lasting part from the white one; that the lines have taken some of the noise
     along is allowed for.
     """
-    white = noise_sd(y)
+    white = noise_sd(y, step)
     pieces = len(y) // PIECE
-    if pieces < 8 or white <= 0:
+    if pieces < 8 or white <= 0 or white < step:
         return Noise(white)
     cut = y[: pieces * PIECE].reshape(pieces, PIECE)
     line = np.column_stack([np.ones(PIECE), np.linspace(-1, 1, PIECE)])
@@ -88,9 +116,9 @@ def noise_of_input(y: Array) -> Noise:
     return best[1]
 
 
-def smoothed(y: Array, sd: float | None = None) -> Array:
-    """(N,) evenly sampled; `sd` of the noise (default: estimated). Steps stay where they are."""
-    sd = noise_sd(y) if sd is None else sd
+def smoothed(y: Array, step: float = 0.0) -> Array:
+    """(N,) evenly sampled, without its noise and that of a converter of this `step`; steps stay where they are."""
+    sd = float(np.hypot(noise_sd(y, step), step / np.sqrt(12)))
     if sd <= 0 or len(y) < 2 * WINDOWS[4]:
         return y.copy()
     right, right_variance = _one_sided(y, sd)

@@ -94,10 +94,9 @@ class Run:
         if np.std(steps) > 0.1 * np.median(steps):
             return self
         shown = self.inputs
-        smooth = replace(
-            shown, voltage_V=smoothed(shown.voltage_V), load_torque_Nm=smoothed(shown.load_torque_Nm)
-        )
-        noise = (noise_of_input(shown.voltage_V), noise_of_input(shown.load_torque_Nm))
+        voltage, load = zip((shown.voltage_V, shown.load_torque_Nm), self.input_step, strict=True)
+        smooth = replace(shown, voltage_V=smoothed(*voltage), load_torque_Nm=smoothed(*load))
+        noise = (noise_of_input(*voltage), noise_of_input(*load))
         return replace(self, inputs=smooth, input_noise=noise, smooth=True)
 
     @property
@@ -123,7 +122,7 @@ class Run:
                 # The same converter with its levels shifted: errors that last as long as a level is held.
                 shift = sign * step * rng.uniform(-0.5, 0.5)
                 noisy = np.round((noisy + shift) / step) * step - shift
-            stirred.append(smoothed(noisy) if noise and self.smooth else noisy)
+            stirred.append(smoothed(noisy, step) if (noise or step) and self.smooth else noisy)
         voltage, load = stirred
         return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
 
