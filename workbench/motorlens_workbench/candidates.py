@@ -23,6 +23,8 @@ from motorlens_physics.simulation import Trajectory
 Array = NDArray[np.float64]
 
 EQUATIONS = {"voltage": "electrical", "torque": "mechanical", "heat": "thermal"}
+# What warms with the winding starts this share as warm as it, unless a fit says otherwise.
+SETTLED = 0.8
 UNITS = {"voltage": "V", "torque": "N*m", "heat": "W"}
 
 
@@ -219,12 +221,14 @@ def _states(effect: Effect, trajectory: Trajectory, u: Any) -> Any:
         b = _array(effect.rates(trajectory.motor, x, u)[name], rows)
         setattr(x, name, np.ones(rows))
         a = _array(effect.rates(trajectory.motor, x, u)[name], rows) - b
-        # What warms with the winding starts as warm as the winding.
-        first = (
-            float(trajectory.states["theta"][0]) if name.startswith("theta") else effect.states[name].initial
-        )
-        setattr(x, name, _integrate(u.t, a, b, first))
+        warm = SETTLED * float(trajectory.states["theta"][0])
+        setattr(x, name, _integrate(u.t, a, b, warm if is_rise(name) else effect.states[name].initial))
     return x
+
+
+def is_rise(state: str) -> bool:
+    """Whether a state is the rise of another part that warms with the winding."""
+    return state.startswith("theta_")
 
 
 @numba.njit(cache=True, nogil=True)

@@ -15,6 +15,7 @@ from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Parameter
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import ModelError
+from motorlens_workbench.candidates import SETTLED, is_rise
 from motorlens_workbench.model import Model, parts_of, predict, sensitivities_of
 from motorlens_workbench.run import STATE_OF, Run
 from motorlens_workbench.whitening import Whitener, fit_whitener, white
@@ -111,11 +112,37 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
         own = _nuisance_sd(file, run)
         for name, width in own.items():
             key = f"{name}@{r}"
-            prior.centre[key] = run.start[name[8:]] if name.startswith("initial.") else 0.0  # type: ignore[index]
-            prior.sd[key] = width  # type: ignore[index]
-            middle = prior.centre[key]
-            prior.bounds[key] = (middle - WITHIN * width, middle + WITHIN * width)  # type: ignore[index]
+            prior = prior.joined(_around(key, _first(run, name), width))
     return prior
+
+
+def _around(key: str, middle: float, width: float) -> Prior:
+    return Prior({key: middle}, {key: width}, {key: (middle - WITHIN * width, middle + WITHIN * width)})
+
+
+def _first(run: Run, name: str) -> float:
+    """Where a nuisance of a run starts."""
+    state = name.removeprefix("initial.")
+    if is_rise(state):
+        return SETTLED * run.start["theta"]
+    return run.start[state] if name.startswith("initial.") else 0.0
+
+
+def start_prior(model: Model, name: str) -> Prior:
+    """How warm the parts that an effect of the model brings were at the start of each run."""
+    effect = model.file.motor.effect(name)
+    prior = Prior({}, {}, {})
+    for state in effect.states if effect else ():
+        for r, own in enumerate(model.own):
+            key = f"initial.{state}"
+            if key in own:
+                width = _warmth_sd(model.file, own["initial.theta"])
+                prior = prior.joined(_around(f"{key}@{r}", own[key], width))
+    return prior
+
+
+def _warmth_sd(file: MotorFile, rise_K: float) -> float:
+    return 0.3 * abs(rise_K) + 0.02 * file.rated.rise_K
 
 
 def part_prior(file: MotorFile, name: str) -> Prior:
@@ -151,6 +178,9 @@ def _nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
     if "temperature" not in run.channels:
         # Without a current either, how warm the winding is cannot be told from R_a0, and is left to it.
         own["initial.theta"] = (0.5 if "current" in run.channels else 0.03) * rated.rise_K
+    for effect in file.motor.effects:
+        warm = _warmth_sd(file, run.start["theta"])
+        own |= {f"initial.{state}": warm for state in effect.states if is_rise(state)}
     if "ambient" not in run.known and "temperature" in run.channels:
         own["ambient"] = AMBIENT_SD_K
     for channel in run.channels:
@@ -165,7 +195,7 @@ def start_model(file: MotorFile, runs: Sequence[Run]) -> Model:
     own = []
     for run in runs:
         names = _nuisance_sd(file, run)
-        own.append({name: run.start[name[8:]] if name.startswith("initial.") else 0.0 for name in names})
+        own.append({name: _first(run, name) for name in names})
     return Model(file, tuple(own), tuple(run.inputs.held for run in runs))
 
 

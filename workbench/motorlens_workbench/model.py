@@ -21,7 +21,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
-from motorlens_workbench.candidates import within_samples
+from motorlens_workbench.candidates import SETTLED, is_rise, within_samples
 from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ def inputs_of(model: Model, run: Run, r: int) -> Inputs:
 
 
 def start_of(model: Model, r: int) -> dict[str, float]:
-    """The initial states of a run; those of effects that are not named start where the winding does, or at their default."""
+    """The initial states of a run; those of effects that are not named start at their default."""
     named = {name[8:]: value for name, value in model.own[r].items() if name.startswith("initial.")}
     known = model.file.motor.states()
     known.pop("phi", None)
@@ -246,8 +246,12 @@ def parts_of(file: MotorFile) -> tuple[Effect | SensorModel, ...]:
 
 
 def with_effect(model: Model, effect: Effect) -> Model:
-    """The model with an effect added."""
-    return replace(model, file=replace(model.file, motor=model.file.motor.with_effect(effect)))
+    """The model with an effect added; another part that warms with the winding starts nearly as warm."""
+    warm = [f"initial.{state}" for state in effect.states if is_rise(state)]
+    own = [{**one, **{name: SETTLED * one["initial.theta"] for name in warm}} for one in model.own]
+    return replace(
+        model, file=replace(model.file, motor=model.file.motor.with_effect(effect)), own=tuple(own)
+    )
 
 
 def with_sensor(model: Model, sensor: SensorModel) -> Model:

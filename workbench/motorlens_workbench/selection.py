@@ -16,7 +16,7 @@ from motorlens_physics.sensor_model import SensorModel
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, shaped
 from motorlens_workbench.evidence import Evidence, Score, score, similarity
-from motorlens_workbench.fitting import Fit, Prior, fit, part_prior
+from motorlens_workbench.fitting import Fit, Prior, fit, part_prior, start_prior
 from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor
 from motorlens_workbench.run import Run
 
@@ -204,7 +204,10 @@ def with_candidate(found: Fit, evidence: Evidence, test: Test) -> tuple[Model, P
     }
     add = with_sensor if isinstance(part, SensorModel) else with_effect
     model = add(found.model, part)
-    return model.with_values(moved), found.prior.joined(part_prior(model.file, candidate.name))
+    prior = found.prior.joined(part_prior(model.file, candidate.name)).joined(
+        start_prior(model, candidate.name)
+    )
+    return model.with_values(moved), prior
 
 
 def _inner(bounds: tuple[float, float], value: float) -> tuple[float, float]:
