@@ -8,7 +8,8 @@ import pytest
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.candidates import candidates
-from motorlens_workbench.diagnosis import base_fit, look
+from motorlens_workbench.diagnosis import base_fit
+from motorlens_workbench.look import look
 from motorlens_workbench.run import largest_offset, prepare
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"

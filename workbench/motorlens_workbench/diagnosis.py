@@ -4,8 +4,8 @@ Base fit; noise from the residual that nothing explains; a screen of all effects
 the best and its rivals; again from there, up to three effects; then the question whether it really is that effect.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,103 +14,20 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.candidates import Candidate, candidates, curves
 from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
-from motorlens_workbench.evidence import Evidence, statistics
-from motorlens_workbench.fitting import (
-    Fit,
-    base_prior,
-    fit,
-    noise_of,
-    plain_noise,
-    squares,
-    start_model,
-)
-from motorlens_workbench.input_errors import without_input_errors
-from motorlens_workbench.leftover import BALANCES, Bend, leftover
-from motorlens_workbench.model import Model, predict
+from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
+from motorlens_workbench.leftover import Bend, leftover
+from motorlens_workbench.look import Look, look
+from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run, prepare
-from motorlens_workbench.screen import (
-    Columns,
-    all_columns,
-    evidence_of,
-    unexplained,
-    with_priors,
-)
-from motorlens_workbench.selection import (
-    REAL,
-    WORTH,
-    Progress,
-    Test,
-    likeness,
-    pair,
-    refit,
-    rivals,
-    test_all,
-    total,
-)
+from motorlens_workbench.selection import Progress
+from motorlens_workbench.steps import Step, advance
 
 Array = NDArray[np.float64]
 
 MOST = 3
 # By how much (logarithm of the error of a channel) another way to take the inputs must be better than the recorded one.
 BETTER_WAY = 0.0025
-# Share of what has been explained so far that a further effect must explain.
-AMONG = 0.003
-# 2 log likelihood by which a more involved effect must be better than a simpler one.
-AS_GOOD = 6.0
-
-
-@dataclass(frozen=True)
-class Look:
-    """The screen from one model.
-
-    Attributes:
-        found: the fit it was taken from, with the noise of this screen.
-        evidence: all columns, without what errors of the inputs feign.
-        recorded: all columns, as recorded.
-        left: what the fitted parameters leave.
-        tests: every candidate.
-        decoy: the best statistic that a decoy reaches.
-        noise: (C,) per run, standard deviation of what nothing explains.
-        columns: unwhitened, per run.
-    """
-
-    found: Fit
-    evidence: Evidence
-    recorded: Evidence
-    left: Evidence
-    tests: dict[str, Test]
-    decoy: float
-    noise: tuple[Array, ...]
-    columns: list[Columns]
-
-    @property
-    def samples(self) -> float:
-        """How many whitened samples there are."""
-        return float(self.evidence.samples.sum()) * len(self.found.residuals[0][0])
-
-
-@dataclass(frozen=True)
-class Step:
-    """One effect accepted.
-
-    Attributes:
-        test: the screen's test of it.
-        found: the fit with it.
-        gain: fall of the whitened sum of squares, as refitted.
-        losses: how much worse each other candidate would be in its place, over the inflation of the winner's test;
-            0 for the winner itself.
-        alike: squared correlation with each other candidate.
-        refits: fits with the rivals that were refitted.
-    """
-
-    test: Test
-    found: Fit
-    gain: float
-    losses: dict[str, float]
-    alike: dict[str, float]
-    refits: dict[str, Fit] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -138,30 +55,6 @@ class Finding:
     whole: tuple[Bend, ...] = ()
     left: tuple[Bend, ...] = ()
     dead: tuple[DeadChannel, ...] = ()
-
-
-def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> Look:
-    """Screen everything from a fitted model."""
-    outputs = sorted({channel for run in runs for channel in run.channels})
-    inputs = ("voltage", *sorted({q for run in runs for q in run.known}))
-    exact: dict[str, float] = {}
-    for run in runs:
-        exact |= {q: min(limit, exact.get(q, limit)) for q, limit in run.offset_below.items()}
-    listed = candidates(found.model.file, outputs, inputs, own, exact)
-    trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
-    free = curves(trajectories, BALANCES)
-    columns = all_columns(found, runs, listed, free)
-    rest, spent = unexplained(columns, runs, plain_noise(found.residuals, runs), found.prior.keys)
-    whiteners = noise_of(rest, runs, spent)
-    recorded = evidence_of(columns, runs, whiteners)
-    evidence = without_input_errors(recorded, found, runs, whiteners, listed, free, with_decoys=True)
-    evidence = with_priors(evidence, found)
-    found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
-    left = evidence.given(found.prior.keys)
-    tests = test_all(left, listed, found.model)
-    noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
-    recorded = with_priors(recorded, found)
-    return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns)
 
 
 def investigate(
@@ -243,110 +136,3 @@ def _error_of(found: Fit, way: Run, held: bool, r: int) -> tuple[float, float]:
         return float("inf"), float("inf")
     size = [np.mean(e**2, axis=0) + way.floor**2 for e in (residual, np.diff(residual, axis=0))]
     return float(np.sum(0.5 * np.log(size[0]))), float(np.sum(0.5 * np.log(size[1])))
-
-
-def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:
-    """The best statistic that a decoy reaches beside some columns."""
-    found = dict(zip(left.names, statistics(left, given).tolist(), strict=False))
-    return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)
-
-
-def threshold(now: Look, test: Test) -> float:
-    """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
-    labels = test.candidate.columns()[test.variant]
-    return max(REAL, 2.0 * decoy_of(now.left, labels))
-
-
-def advance(
-    now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str], explained: float = 0.0
-) -> tuple[Step | None, list[str]]:
-    """Accept the candidate that the evidence prefers, if one is real and worth having; else None and what failed.
-
-    `explained` is the gain of what was accepted before: a very small share of it may be that one's imperfection.
-    """
-    broken: list[str] = []
-    tests = {name: test for name, test in now.tests.items() if name not in avoid}
-    for _ in range(3):
-        worth = max(WORTH * now.samples, AMONG * explained)
-        standing = [t for t in tests.values() if t.statistic > REAL and t.gain > worth]
-        standing.sort(key=lambda test: -test.statistic)
-        standing = [test for test in standing[:8] if test.statistic > threshold(now, test)]
-        if not standing:
-            return None, broken
-        best = max(standing, key=lambda test: test.statistic)
-        together = pair(now.left, tests, best)
-        if together is not None:
-            step = _first_of(now, together, runs, say)
-            if step is not None:
-                return step, broken
-        near = rivals(now.left, tests, best)
-        refits: dict[str, Fit] = {}
-        for test in near:
-            say(f"refitting with {test.candidate.name}")
-            tried = refit(now.found, now.evidence, test, runs)
-            if tried is not None:
-                refits[test.candidate.name] = tried
-        good = {
-            name: tried
-            for name, tried in refits.items()
-            if total(now.found) - total(tried) > 0.5 * tests[name].gain
-        }
-        if good:
-            winner = simplest(good, tests)
-            return _accept(now, tests, winner, refits), broken
-        broken += [test.candidate.name for test in near]
-        tests = {name: test for name, test in tests.items() if name not in broken}
-    return None, broken
-
-
-def simplest(good: Mapping[str, Fit], tests: Mapping[str, Test]) -> str:
-    """Of the refits that are as good as the best, the one that claims least."""
-    best = min(good, key=lambda name: total(good[name]))
-    score_of_best = tests[best].score
-    assert score_of_best is not None
-    level = total(good[best]) + AS_GOOD * score_of_best.inflation
-    return min(
-        (name for name in good if total(good[name]) <= level),
-        key=lambda name: (tests[name].candidate.claims, total(good[name])),
-    )
-
-
-def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: Progress) -> Step | None:
-    """Accept the stronger of two candidates that belong together, judged beside the other; None if a refit fails."""
-    one, other = together
-    beside = now.left.given(other.candidate.columns()[other.variant])
-    listed = [test.candidate for test in now.tests.values() if test is not other]
-    tests = test_all(beside, listed, now.found.model)
-    judged = tests[one.candidate.name]
-    if judged.statistic < REAL:
-        return None
-    say(f"refitting with {one.candidate.name}, beside {other.candidate.name}")
-    found = refit(now.found, now.evidence, one, runs)
-    if found is None or not total(now.found) - total(found) > 0.3 * one.gain:
-        return None
-    step = _accept(
-        replace(now, left=beside, tests=tests), tests, one.candidate.name, {one.candidate.name: found}
-    )
-    return step
-
-
-def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fit]) -> Step:
-    chosen = tests[winner]
-    assert chosen.score is not None
-    found = refits[winner]
-    gain = total(now.found) - total(found)
-    losses, alike = {winner: 0.0}, {}
-    for name, test in now.tests.items():
-        if name == winner or test.score is None:
-            continue
-        alike[name] = likeness(now.left, chosen, test)
-        # Twins are as significant as each other; a column of scatter is not a rival however large its gain.
-        if not test.allowed or (test.statistic < 0.3 * chosen.statistic and name not in refits):
-            continue
-        by_screen = chosen.score.gain - test.score.gain
-        loss = total(refits[name]) - total(found) if name in refits else by_screen
-        losses[name] = max(loss, 0.0) / chosen.score.inflation
-    return Step(chosen, found, gain, losses, alike, {k: v for k, v in refits.items() if k != winner})
-
-
-__all__ = ["Bend", "Candidate", "Finding", "Look", "Model", "Step", "investigate", "look"]

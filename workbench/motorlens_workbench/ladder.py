@@ -10,8 +10,9 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.diagnosis import base_fit, look
+from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.fitting import Fit, Prior, base_prior, fit, noise_of, start_model
+from motorlens_workbench.look import look
 from motorlens_workbench.model import parts_of, predict
 from motorlens_workbench.run import Run, prepare
 from motorlens_workbench.screen import all_columns, evidence_of, held_out_errors, held_out_rmse, with_priors

@@ -293,6 +293,16 @@ def all_columns(
     ]
 
 
+def errors_by_block(found: Fit, runs: Sequence[Run]) -> Array:
+    """(B,) whitened squared error of each block of time."""
+    white = []
+    for run, whitener, residual in zip(runs, found.whiteners, found.residuals, strict=True):
+        z = whitener(residual)
+        z[~usable(run, whitener)] = 0.0
+        white.append(np.sum(z**2, axis=1))
+    return np.array([white[r][rows].sum() for r, rows in layout(runs, found.whiteners)])
+
+
 def with_priors(evidence: Evidence, found: Fit) -> Evidence:
     """Add the priors of the fitted parameters, in units of their standard deviation."""
     values = found.model.values()

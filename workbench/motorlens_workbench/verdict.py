@@ -9,10 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motorlens_workbench.diagnosis import Bend, Finding, Look, Step
+from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.evidence import score
+from motorlens_workbench.leftover import Bend
+from motorlens_workbench.look import Look
 from motorlens_workbench.screen import held_out_rmse
 from motorlens_workbench.selection import WORTH, Test
+from motorlens_workbench.steps import Step
 
 # A rival whose loss (2 log likelihood over inflation) is below this cannot be told apart.
 TOLD_APART = 14.0

@@ -1,0 +1,80 @@
+"""One look from a fitted model: all effects, sensor faults, free curves and decoys in one linearised pass."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.effect import Effect
+from motorlens_workbench.candidates import candidates, curves
+from motorlens_workbench.evidence import Evidence, statistics
+from motorlens_workbench.fitting import Fit, noise_of, plain_noise, squares
+from motorlens_workbench.input_errors import without_input_errors
+from motorlens_workbench.leftover import BALANCES
+from motorlens_workbench.model import predict
+from motorlens_workbench.run import Run
+from motorlens_workbench.screen import Columns, all_columns, evidence_of, unexplained, with_priors
+from motorlens_workbench.selection import Test, test_all
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Look:
+    """The screen from one model.
+
+    Attributes:
+        found: the fit it was taken from, with the noise of this screen.
+        evidence: all columns, without what errors of the inputs feign.
+        recorded: all columns, as recorded.
+        left: what the fitted parameters leave.
+        tests: every candidate.
+        decoy: the best statistic that a decoy reaches.
+        noise: (C,) per run, standard deviation of what nothing explains.
+        columns: unwhitened, per run.
+    """
+
+    found: Fit
+    evidence: Evidence
+    recorded: Evidence
+    left: Evidence
+    tests: dict[str, Test]
+    decoy: float
+    noise: tuple[Array, ...]
+    columns: list[Columns]
+
+    @property
+    def samples(self) -> float:
+        """How many whitened samples there are."""
+        return float(self.evidence.samples.sum()) * len(self.found.residuals[0][0])
+
+
+def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> Look:
+    """Screen everything from a fitted model."""
+    outputs = sorted({channel for run in runs for channel in run.channels})
+    inputs = ("voltage", *sorted({q for run in runs for q in run.known}))
+    exact: dict[str, float] = {}
+    for run in runs:
+        exact |= {q: min(limit, exact.get(q, limit)) for q, limit in run.offset_below.items()}
+    listed = candidates(found.model.file, outputs, inputs, own, exact)
+    trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
+    free = curves(trajectories, BALANCES)
+    columns = all_columns(found, runs, listed, free)
+    rest, spent = unexplained(columns, runs, plain_noise(found.residuals, runs), found.prior.keys)
+    whiteners = noise_of(rest, runs, spent)
+    recorded = evidence_of(columns, runs, whiteners)
+    evidence = without_input_errors(recorded, found, runs, whiteners, listed, free, with_decoys=True)
+    evidence = with_priors(evidence, found)
+    found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
+    left = evidence.given(found.prior.keys)
+    tests = test_all(left, listed, found.model)
+    noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
+    recorded = with_priors(recorded, found)
+    return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns)
+
+
+def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:
+    """The best statistic that a decoy reaches beside some columns."""
+    found = dict(zip(left.names, statistics(left, given).tolist(), strict=False))
+    return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)

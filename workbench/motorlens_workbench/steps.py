@@ -1,0 +1,206 @@
+"""One effect accepted after another: the candidate that the evidence prefers, fitted in full, and what could replace it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from motorlens_workbench.evidence import score
+from motorlens_workbench.fitting import Fit
+from motorlens_workbench.look import Look, decoy_of
+from motorlens_workbench.run import Run
+from motorlens_workbench.screen import all_columns, errors_by_block, evidence_of, with_priors
+from motorlens_workbench.selection import (
+    REAL,
+    WORTH,
+    Progress,
+    Test,
+    likeness,
+    pair,
+    refit,
+    rivals,
+    test_all,
+    total,
+)
+
+# Share of what has been explained so far that a further effect must explain.
+AMONG = 0.003
+# How many times what stands out a candidate must explain to be looked at though it is uneven, and how many are.
+MASKED, MOST_MASKED = 4.0, 4
+# 2 log likelihood by which a more involved effect must be better than a simpler one.
+AS_GOOD = 6.0
+# Standard deviations by which it must be better if its errors scatter.
+SURE = 2.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect accepted.
+
+    Attributes:
+        test: the screen's test of it.
+        found: the fit with it.
+        gain: fall of the whitened sum of squares, as refitted.
+        losses: how much worse each other candidate would be in its place, over the inflation of the winner's test;
+            0 for the winner itself.
+        alike: squared correlation with each other candidate.
+        refits: fits with the rivals that were refitted.
+    """
+
+    test: Test
+    found: Fit
+    gain: float
+    losses: dict[str, float]
+    alike: dict[str, float]
+    refits: dict[str, Fit] = field(default_factory=dict)
+
+
+def threshold(now: Look, test: Test) -> float:
+    """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
+    labels = test.candidate.columns()[test.variant]
+    return max(REAL, 2.0 * decoy_of(now.left, labels))
+
+
+def advance(
+    now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str], explained: float = 0.0
+) -> tuple[Step | None, list[str]]:
+    """Accept the candidate that the evidence prefers, if one is real and worth having; else None and what failed.
+
+    `explained` is the gain of what was accepted before: a very small share of it may be that one's imperfection.
+    """
+    broken: list[str] = []
+    tests = {name: test for name, test in now.tests.items() if name not in avoid}
+    for _ in range(3):
+        worth = max(WORTH * now.samples, AMONG * explained)
+        standing = [t for t in tests.values() if t.statistic > REAL and t.gain > worth]
+        standing.sort(key=lambda test: -test.statistic)
+        standing = [test for test in standing[:8] if test.statistic > threshold(now, test)]
+        step = _unmasked(now, tests, max((test.gain for test in standing), default=worth), runs, say)
+        if step is not None:
+            return step, broken
+        if not standing:
+            return None, broken
+        best = max(standing, key=lambda test: test.statistic)
+        together = pair(now.left, tests, best)
+        if together is not None:
+            step = _first_of(now, together, runs, say)
+            if step is not None:
+                return step, broken
+        near = rivals(now.left, tests, best)
+        refits: dict[str, Fit] = {}
+        for test in near:
+            say(f"refitting with {test.candidate.name}")
+            tried = refit(now.found, now.evidence, test, runs)
+            if tried is not None:
+                refits[test.candidate.name] = tried
+        good = {
+            name: tried
+            for name, tried in refits.items()
+            if total(now.found) - total(tried) > 0.5 * tests[name].gain
+        }
+        if good:
+            winner = simplest(good, tests, runs)
+            return _accept(now, tests, winner, refits), broken
+        broken += [test.candidate.name for test in near]
+        tests = {name: test for name, test in tests.items() if name not in broken}
+    return None, broken
+
+
+def _unmasked(
+    now: Look, tests: dict[str, Test], known: float, runs: Sequence[Run], say: Progress
+) -> Step | None:
+    """Accept a candidate that would explain far more than any that stands out, though unevenly: None if none holds.
+
+    A strong effect that changes what the motor does (friction that brings it to rest) is not linear: seen from a model
+    without it, its column fits in some blocks and not in others, and scatter hides it. Fitted in full it must be even.
+    """
+    masked = [
+        test
+        for test in tests.values()
+        if test.gain > max(MASKED * known, MASKED * REAL) and test.statistic <= threshold(now, test)
+    ]
+    masked.sort(key=lambda test: -test.gain)
+    refits, seen = {}, dict(tests)
+    for test in masked[:MOST_MASKED]:
+        name = test.candidate.name
+        say(f"refitting with {name}")
+        tried = refit(now.found, now.evidence, test, runs, rounds=8)
+        if tried is None or not total(now.found) - total(tried) > 0.5 * test.gain:
+            continue
+        even = evenness(tried, test, runs)
+        assert test.score is not None
+        if even is not None and (total(now.found) - total(tried)) / even > threshold(now, test):
+            refits[name], seen[name] = tried, replace(test, score=test.score.inflated(even))
+    if not refits:
+        return None
+    return _accept(replace(now, tests={**now.tests, **seen}), seen, simplest(refits, seen, runs), refits)
+
+
+def evenness(found: Fit, test: Test, runs: Sequence[Run]) -> float | None:
+    """Scatter between blocks of an effect's size, seen from the model that has it, over what noise would give."""
+    columns = all_columns(found, runs, (), (), with_decoys=False)
+    evidence = with_priors(evidence_of(columns, runs, found.whiteners), found)
+    key = f"{test.candidate.name}.{test.candidate.switch}"
+    tested = score(evidence.given([other for other in found.prior.keys if other != key]), [key])
+    return tested.inflation if tested else None
+
+
+def simplest(good: Mapping[str, Fit], tests: Mapping[str, Test], runs: Sequence[Run]) -> str:
+    """Of the refits that are as good as the best, the one that claims least.
+
+    As good is what differs by little, or by no more than the scatter between blocks of time lets it (Vuong 1989,
+    doi:10.2307/1912557).
+    """
+    best = min(good, key=lambda name: total(good[name]))
+    score_of_best = tests[best].score
+    assert score_of_best is not None
+    blocks = {name: errors_by_block(tried, runs) for name, tried in good.items()}
+
+    def as_good(name: str) -> bool:
+        worse = total(good[name]) - total(good[best])
+        apart = blocks[name] - blocks[best]
+        scatter = float(np.sqrt(np.sum((apart - apart.mean()) ** 2)))
+        return worse <= max(AS_GOOD, min(AS_GOOD * score_of_best.inflation, SURE * scatter))
+
+    return min(
+        (name for name in good if as_good(name)),
+        key=lambda name: (tests[name].candidate.claims, total(good[name])),
+    )
+
+
+def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: Progress) -> Step | None:
+    """Accept the stronger of two candidates that belong together, judged beside the other; None if a refit fails."""
+    one, other = together
+    beside = now.left.given(other.candidate.columns()[other.variant])
+    listed = [test.candidate for test in now.tests.values() if test is not other]
+    tests = test_all(beside, listed, now.found.model)
+    judged = tests[one.candidate.name]
+    if judged.statistic < REAL:
+        return None
+    say(f"refitting with {one.candidate.name}, beside {other.candidate.name}")
+    found = refit(now.found, now.evidence, one, runs)
+    if found is None or not total(now.found) - total(found) > 0.3 * one.gain:
+        return None
+    step = _accept(
+        replace(now, left=beside, tests=tests), tests, one.candidate.name, {one.candidate.name: found}
+    )
+    return step
+
+
+def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fit]) -> Step:
+    chosen = tests[winner]
+    assert chosen.score is not None
+    found = refits[winner]
+    gain = total(now.found) - total(found)
+    losses, alike = {winner: 0.0}, {}
+    for name, test in now.tests.items():
+        if name == winner or test.score is None:
+            continue
+        alike[name] = likeness(now.left, chosen, test)
+        # Twins are as significant as each other; a column of scatter is not a rival however large its gain.
+        if not test.allowed or (test.statistic < 0.3 * chosen.statistic and name not in refits):
+            continue
+        by_screen = chosen.score.gain - test.score.gain
+        loss = total(refits[name]) - total(found) if name in refits else by_screen
+        losses[name] = max(loss, 0.0) / chosen.score.inflation
+    return Step(chosen, found, gain, losses, alike, {k: v for k, v in refits.items() if k != winner})
