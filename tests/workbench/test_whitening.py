@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from motorlens_workbench.whitening import Whitener, fit_whitener, quantisation_step, white
+from motorlens_workbench.converter import quantisation_step
+from motorlens_workbench.whitening import Whitener, fit_whitener, white
 
 
 def coloured(rows: int, seed: int) -> np.ndarray:

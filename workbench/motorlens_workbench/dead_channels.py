@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_runtime.errors import ModelError
+from motorlens_workbench.converter import quantisation_step
 from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.whitening import quantisation_step
 
 Array = NDArray[np.float64]
 
@@ -98,6 +98,7 @@ def left_out(run: Run, channel: str) -> Run:
         channels=tuple(run.channels[c] for c in keep),
         measured=run.measured[:, keep],
         floor=run.floor[keep],
+        converters=tuple(run.converters[c] for c in keep),
     )
 
 

@@ -120,7 +120,11 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
         rough = replace(run, input_noise=quiet.input_noise) if noisy else run
         chosen.append(quiet if smoother else rough)
     model = fits[-1 if any(run.smooth for run in chosen) else 0].model
-    return fit(replace(model, held=tuple(held)), chosen, prior), tuple(chosen)
+    found = fit(replace(model, held=tuple(held)), chosen, prior)
+    if not any(converter.step for run in chosen for converter in run.converters):
+        return found, tuple(chosen)
+    leaning = tuple(run.leaning(predict(found.model, run, r)[1]) for r, run in enumerate(chosen))
+    return fit(found.model, leaning, prior), leaning
 
 
 def _error_of(found: Fit, way: Run, held: bool, r: int) -> tuple[float, float]:

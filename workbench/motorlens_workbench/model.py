@@ -127,6 +127,8 @@ def shown(model: Model, run: Run, r: int, y: Array) -> Array:
         skew = model.own[r].get(f"skew.{channel}", 0.0)
         if skew:
             out[:, k] -= skew * np.gradient(out[:, k], run.inputs.time_s)
+    for k, converter in enumerate(run.converters):
+        out[:, k] += converter.bias(out[:, k])
     return out
 
 

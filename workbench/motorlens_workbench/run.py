@@ -14,8 +14,8 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
+from motorlens_workbench.converter import Converter, converter_of, leaning, quantisation_step
 from motorlens_workbench.denoise import Noise, moving_mean, noise_of_input, smoothed
-from motorlens_workbench.whitening import quantisation_step
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,7 @@ class Run:
         input_noise: of the voltage (V) and the load torque (N m), where it is their sensors' and was not truly applied.
         smooth: whether it was smoothed away as far as it can be.
         input_step: the least significant bit of either, 0 if continuous.
+        converters: of the channels.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
     """
 
@@ -66,6 +67,7 @@ class Run:
     input_step: tuple[float, float] = (0.0, 0.0)
     smooth: bool = False
     offset_below: Mapping[str, float] = field(default_factory=dict)
+    converters: tuple[Converter, ...] = ()
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -125,6 +127,14 @@ class Run:
             stirred.append(smoothed(noisy, step) if (noise or step) and self.smooth else noisy)
         voltage, load = stirred
         return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
+
+    def leaning(self, truth: Array) -> "Run":
+        """With its converters' lean towards their levels improved by what a fit (N, C) leaves."""
+        found = [
+            leaning(converter, truth[self.valid, k], (self.measured - truth)[self.valid, k])
+            for k, converter in enumerate(self.converters)
+        ]
+        return replace(self, converters=tuple(found))
 
     def fresh(self) -> NDArray[np.bool_]:
         """(rows,) averaged rows of which every sample is valid."""
@@ -187,7 +197,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     }
     return Run(
         recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse,
-        offset_below=exact,
+        offset_below=exact, converters=tuple(converter_of(recording.channels[q]) for q in used),
     )  # fmt: skip
 
 

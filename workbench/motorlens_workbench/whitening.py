@@ -164,17 +164,3 @@ def _regress(design: Array, target: Array) -> Array:
     gram[np.diag_indices_from(gram)] *= 1 + 1e-9
     gram[np.diag_indices_from(gram)] += 1e-30
     return np.asarray(np.linalg.lstsq(gram, design.T @ target, rcond=1e-13)[0])
-
-
-def quantisation_step(y: Array) -> float:
-    """The least significant bit of a channel; 0 if its values look continuous.
-
-    A quantised channel has few distinct values, all whole multiples of the smallest difference between two of them.
-    """
-    values = np.unique(y[np.isfinite(y)])
-    if len(values) < 3 or len(values) > 0.5 * len(y):
-        return 0.0
-    steps = np.diff(values)
-    step = float(np.median(steps[steps < 2.5 * np.min(steps)]))
-    whole = steps / step
-    return step if np.max(np.abs(whole - np.round(whole))) < 0.1 else 0.0

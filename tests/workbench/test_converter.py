@@ -1,0 +1,54 @@
+"""The mean reading of a noisy converter against drawn readings."""
+
+import numpy as np
+import pytest
+
+from motorlens_workbench.converter import Converter, converter_of, leaning, quantisation_step
+from motorlens_workbench.denoise import noise_sd, smoothed
+
+STEP = 0.3
+
+
+def shown(truth: np.ndarray, sd: float, rng: np.random.Generator, level: float = 0.0) -> np.ndarray:
+    return np.round((truth - level + sd * rng.standard_normal(len(truth))) / STEP) * STEP + level
+
+
+@pytest.mark.parametrize("sd", [0.06, 0.09, 0.15])
+def test_the_mean_reading_leans_as_said(sd):
+    rng = np.random.default_rng(0)
+    slow = np.linspace(0, 5, 400_000)
+    found = converter_of(shown(slow, sd, rng, level=0.07))
+    assert found.step == pytest.approx(STEP)
+    assert (found.level - 0.07 + STEP / 2) % STEP - STEP / 2 == pytest.approx(0.0, abs=0.02)
+    assert found.lean == pytest.approx(np.exp(-2 * (np.pi * sd / STEP) ** 2), abs=0.04)
+    for truth in (0.02, 0.1, 0.16, 0.24):
+        drawn = shown(np.full(200_000, truth), sd, rng, level=0.07).mean() - truth
+        assert found.bias(np.array([truth]))[0] == pytest.approx(drawn, abs=0.012)
+
+
+def test_a_lean_is_learnt_from_what_a_fit_leaves():
+    """Noise that lasts toggles less than it blurs: from the toggling alone the lean would be taken too large."""
+    rng = np.random.default_rng(1)
+    truth = 2 + np.sin(np.arange(60_000) / 5000)
+    reading = shown(truth, 0.12, rng)
+    believed = Converter(STEP, 0.0, 0.5)
+    learnt = leaning(believed, truth, reading - truth - believed.bias(truth))
+    assert learnt.lean == pytest.approx(np.exp(-2 * (np.pi * 0.12 / STEP) ** 2), abs=0.03)
+    still = leaning(believed, np.full(60_000, 0.15), np.zeros(60_000))
+    assert still == believed
+
+
+@pytest.mark.parametrize("sd", [0.06, 0.12, 0.24, 0.5])
+def test_noise_beneath_the_step_is_seen_and_smoothed(sd):
+    rng = np.random.default_rng(2)
+    levels = np.repeat(rng.uniform(-10, 10, 80), 125)
+    reading = shown(levels, sd, rng)
+    assert quantisation_step(reading) == pytest.approx(STEP)
+    assert noise_sd(reading, STEP) == pytest.approx(sd, rel=0.3)
+    error = np.std(smoothed(reading, STEP) - levels)
+    assert error < 0.75 * np.std(reading - levels)
+
+
+def test_a_continuous_channel_has_no_converter():
+    y = np.random.default_rng(3).standard_normal(1000)
+    assert converter_of(y) == Converter() and not converter_of(y).bias(y).any()

@@ -1,0 +1,85 @@
+"""What an analogue-to-digital converter does to a channel: its step, the noise beneath it, and the ripple that noise leaves.
+
+A mean over many samples of a noisy converter is no longer quantised, but not yet the truth: where the noise is less than
+half a step, the mean still leans towards the nearest level. Schuchman (1964), Dither signals and their effect on
+quantization noise, doi:10.1109/TCOM.1964.1088973.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_workbench.denoise import noise_sd
+
+Array = NDArray[np.float64]
+
+# A channel with more distinct values than this share of its samples is no converter's.
+FEW = 0.5
+# The largest lean: from there on the mean no longer rises with the truth.
+MOST = 0.5
+# Standard deviation of a lean that is computed from the noise; samples in a piece.
+BELIEF, PIECE = 0.1, 50
+
+
+def quantisation_step(y: Array) -> float:
+    """The least significant bit of a channel; 0 if its values look continuous.
+
+    A quantised channel has few distinct values, all whole multiples of the smallest difference between two of them.
+    """
+    values = np.unique(y[np.isfinite(y)])
+    if len(values) < 3 or len(values) > FEW * len(y):
+        return 0.0
+    steps = np.diff(values)
+    step = float(np.median(steps[steps < 2.5 * np.min(steps)]))
+    whole = steps / step
+    return step if np.max(np.abs(whole - np.round(whole))) < 0.1 else 0.0
+
+
+@dataclass(frozen=True)
+class Converter:
+    """The converter of a channel.
+
+    Attributes:
+        step: least significant bit, 0 if continuous.
+        level: one of its levels.
+        lean: how much of the full lean towards the nearest level is left, from 0 (noise blurs it) to 1 (no noise).
+    """
+
+    step: float = 0.0
+    level: float = 0.0
+    lean: float = 0.0
+
+    def bias(self, y: Array) -> Array:
+        """(N,) what the mean reading of true values (N,) is above them."""
+        if not self.lean:
+            return np.zeros_like(y)
+        return self.lean * self.shape(y)
+
+    def shape(self, y: Array) -> Array:
+        """(N,) the first harmonic of the reading's error, at a lean of 1."""
+        return np.asarray(-self.step / np.pi * np.sin(2 * np.pi * (y - self.level) / self.step))
+
+
+def converter_of(y: Array) -> Converter:
+    """The converter of a channel, with the lean that the noise on it should leave."""
+    step = quantisation_step(y)
+    if not step:
+        return Converter()
+    there = y[np.isfinite(y)]
+    level = float(np.angle(np.exp(2j * np.pi * there / step).mean()) / (2 * np.pi) * step)
+    return Converter(step, level, min(float(np.exp(-2 * (np.pi * noise_sd(there, step) / step) ** 2)), MOST))
+
+
+def leaning(converter: Converter, truth: Array, error: Array) -> Converter:
+    """The converter with its lean improved by the error (N,) that is left beside a fitted truth (N,)."""
+    shape = converter.shape(truth) if converter.step else np.zeros(len(truth))
+    power = float(shape @ shape)
+    if power <= 0:
+        return converter
+    more = float(shape @ error) / power
+    # Neighbouring samples share their error: the scatter is that of sums over pieces.
+    left = shape * (error - more * shape)
+    variance = np.sum(np.add.reduceat(left, np.arange(0, len(left), PIECE)) ** 2) / power**2
+    lean = converter.lean + more * BELIEF**2 / (BELIEF**2 + variance)
+    return replace(converter, lean=float(np.clip(lean, 0.0, MOST)))
