@@ -21,7 +21,7 @@ from motorlens_workbench.look import Look, look
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run, prepare
 from motorlens_workbench.selection import Progress
-from motorlens_workbench.steps import Step, advance
+from motorlens_workbench.steps import Step, advance, imperfections
 
 Array = NDArray[np.float64]
 
@@ -82,7 +82,8 @@ def investigate(
     steps: list[Step] = []
     failed: list[str] = []
     while len(steps) < MOST:
-        step, broken = advance(current, runs, say, failed, sum(step.gain for step in steps))
+        avoid = [*failed, *imperfections(steps, current)]
+        step, broken = advance(current, runs, say, avoid, sum(step.gain for step in steps))
         failed += broken
         if step is None:
             break

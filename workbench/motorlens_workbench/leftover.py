@@ -16,7 +16,7 @@ from motorlens_workbench.fitting import Fit
 from motorlens_workbench.input_errors import without_input_errors
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import all_columns, evidence_of, with_priors
+from motorlens_workbench.screen import all_columns, evidence_of
 from motorlens_workbench.selection import REAL
 from motorlens_workbench.variation import Variation, variations
 
@@ -67,7 +67,8 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     columns = all_columns(found, runs, (), free, with_decoys=False)
     evidence = evidence_of(columns, runs, found.whiteners)
     evidence = without_input_errors(evidence, found, runs, found.whiteners, (), free, with_decoys=False)
-    left = with_priors(evidence, found).given(found.prior.keys)
+    # Without the priors: a curve must not count because it is a parameter of the model that the motor file holds back.
+    left = evidence.given(found.prior.keys)
     return [
         bend
         for bend in bends_of(left, free)

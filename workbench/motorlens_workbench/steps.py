@@ -25,6 +25,8 @@ from motorlens_workbench.selection import (
 
 # Share of what has been explained so far that a further effect must explain.
 AMONG = 0.003
+# Squared correlation from which on a candidate is nearly a copy, and the share of the other's gain that mends its shape.
+NEAR, MENDS = 0.9, 0.1
 # How many times what stands out a candidate must explain to be looked at though it is uneven, and how many are.
 MASKED, MOST_MASKED = 4.0, 4
 # 2 log likelihood by which a more involved effect must be better than a simpler one.
@@ -53,6 +55,19 @@ class Step:
     losses: dict[str, float]
     alike: dict[str, float]
     refits: dict[str, Fit] = field(default_factory=dict)
+
+
+def imperfections(steps: Sequence[Step], now: Look) -> list[str]:
+    """Candidates that only mend the shape of what was accepted: nearly a copy of it, and worth little beside it.
+
+    A voltage drop that is rounded off more widely than the catalogue's is one effect, not the difference of two.
+    """
+    return [
+        name
+        for step in steps
+        for name, alike in step.alike.items()
+        if alike > NEAR and name in now.tests and now.tests[name].gain < MENDS * step.gain
+    ]
 
 
 def threshold(now: Look, test: Test) -> float:
