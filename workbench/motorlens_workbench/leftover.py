@@ -16,7 +16,7 @@ from motorlens_workbench.fitting import Fit
 from motorlens_workbench.input_errors import without_input_errors
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import all_columns, evidence_of
+from motorlens_workbench.screen import all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL
 from motorlens_workbench.variation import Variation, variations
 
@@ -69,25 +69,33 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     evidence = without_input_errors(evidence, found, runs, found.whiteners, (), free, with_decoys=False)
     # Without the priors: a curve must not count because it is a parameter of the model that the motor file holds back.
     left = evidence.given(found.prior.keys)
+    held = with_priors(evidence, found).given(found.prior.keys)
     return [
         bend
-        for bend in bends_of(left, free)
+        for bend in bends_of(left, held, free)
         if _believable(bend, found.model.file.rated) and _beyond_chance(bend, decoy)
     ]
 
 
-def bends_of(left: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
-    """Every free curve against what is left, the strongest first."""
+def bends_of(left: Evidence, held: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
+    """Every free curve against what is left, the strongest first.
+
+    Args:
+        left: what the model's parameters leave at any value: how much a curve explains.
+        held: what they leave near what was known of them: what the curve then looks like.
+        free: the curves.
+    """
     found = []
     single = dict(zip(left.names, statistics(left).tolist(), strict=False))
     for curve in free:
         gain, deviations, tested = curve_gain(left, curve.columns())
-        if tested is None:
+        shape = curve_gain(held, curve.columns())[2]
+        if tested is None or shape is None:
             continue
-        at = [int(name.rpartition(".")[2]) for name in tested.names]
-        spread = np.sqrt(np.maximum(np.diagonal(tested.covariance), 0))
+        at = [int(name.rpartition(".")[2]) for name in shape.names]
+        spread = np.sqrt(np.maximum(np.diagonal(shape.covariance), 0))
         best = max(single[name] for name in tested.names)
-        found.append(Bend(curve, gain, deviations, best, curve.knots[at], tested.coefficient, spread))
+        found.append(Bend(curve, gain, deviations, best, curve.knots[at], shape.coefficient, spread))
     return sorted(found, key=lambda bend: -bend.gain)
 
 
