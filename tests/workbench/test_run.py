@@ -1,16 +1,20 @@
 """What a prepared recording tells of its sensors: an exact zero at rest leaves no room for an offset."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.candidates import candidates
 from motorlens_workbench.diagnosis import base_fit
+from motorlens_workbench.fitting import start_model
 from motorlens_workbench.look import look
-from motorlens_workbench.run import largest_offset, prepare
+from motorlens_workbench.model import predict
+from motorlens_workbench.run import largest_offset, prepare, prepare_all
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -55,3 +59,19 @@ def test_an_offset_that_the_rest_forbids_is_no_candidate():
     assert seen.candidate.most == pytest.approx(2.1) and not seen.allowed and seen.statistic == 0
     free = {c.name: c for c in candidates(file, ["speed"], ["voltage"])}
     assert free["speed_sensor_offset"].most == np.inf
+
+
+def test_cogging_is_looked_for_where_the_angle_is_known():
+    file = read_motor_file(MOTOR)
+    fine = wheel(0.0)
+    angle = {**fine.channels, "angle": np.cumsum(fine.channels["speed"]) / 1000}
+    coarse = Recording("coarse", fine.time_s * 100, fine.channels)
+    assert [run.turns for run in prepare_all([coarse, fine], file)] == [False, True]
+    measured = replace(coarse, channels=angle)
+    assert [run.turns for run in prepare_all([measured, fine], file)] == [True, False]
+    cogging = catalogue()["cogging_torque"].typical(file.rated)
+    toothed = replace(file, motor=file.motor.with_effect(cogging))
+    runs = prepare_all([measured, fine], file)
+    with_teeth, without = (start_model(one, runs) for one in (toothed, file))
+    assert np.array_equal(predict(with_teeth, runs[1], 1)[1], predict(without, runs[1], 1)[1])
+    assert not np.allclose(predict(with_teeth, runs[0], 0)[1], predict(without, runs[0], 0)[1], atol=1e-3)

@@ -20,7 +20,7 @@ from motorlens_workbench.balances import EQUATIONS, missing_of
 from motorlens_workbench.candidates import curves
 from motorlens_workbench.fitting import start_model
 from motorlens_workbench.model import Model, predict
-from motorlens_workbench.run import STATE_OF, UNIT_OF, Run, prepare
+from motorlens_workbench.run import STATE_OF, UNIT_OF, Run, prepare_all
 from motorlens_workbench.screen import Line
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ def compare(file: MotorFile, recordings: Sequence[Recording]) -> Comparison:
         DataError: a recording holds no measured output, or is too short.
         ModelError: the model cannot be simulated on one of them; the message says which.
     """
-    runs = tuple(prepare(recording, file) for recording in recordings)
+    runs = prepare_all(recordings, file)
     model = start_model(file, runs)
     held, overlays = [], []
     for r, run in enumerate(runs):

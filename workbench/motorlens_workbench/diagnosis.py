@@ -19,7 +19,7 @@ from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
 from motorlens_workbench.leftover import Bend, leftover
 from motorlens_workbench.look import Look, look
 from motorlens_workbench.model import predict
-from motorlens_workbench.run import Run, prepare
+from motorlens_workbench.run import Run, prepare_all
 from motorlens_workbench.selection import Progress
 from motorlens_workbench.steps import Step, advance, imperfections
 
@@ -69,7 +69,7 @@ def investigate(
         DataError: a recording that cannot be used.
         ModelError: the model cannot be simulated at all.
     """
-    runs = tuple(prepare(recording, file) for recording in recordings)
+    runs = prepare_all(recordings, file)
     say("fitting the base parameters")
     base, used = base_fit(file, runs)
     dead = dead_channels(file, base, used)

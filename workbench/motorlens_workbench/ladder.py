@@ -14,7 +14,7 @@ from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.fitting import Fit, Prior, base_prior, fit, noise_of, start_model
 from motorlens_workbench.look import look
 from motorlens_workbench.model import parts_of, predict
-from motorlens_workbench.run import Run, prepare
+from motorlens_workbench.run import Run, prepare, prepare_all
 from motorlens_workbench.screen import all_columns, evidence_of, held_out_errors, held_out_rmse, with_priors
 from motorlens_workbench.selection import REAL, WORTH, Progress, refit, total
 
@@ -74,7 +74,7 @@ def add(
     """
     if any(part.name() == name for part in parts_of(file)):
         raise DataError(f"{name} is in the motor file already; --remove takes it out")
-    runs = tuple(prepare(recording, file) for recording in recordings)
+    runs = prepare_all(recordings, file)
     rungs = []
     lower = _stripped(file)
     names = [part.name() for part in parts_of(file) if not _imposed(file, part.name())]
@@ -139,7 +139,7 @@ def remove(
     """
     if not any(part.name() == name for part in parts_of(file)):
         raise DataError(f"{name} is not in the motor file")
-    runs = tuple(prepare(recording, file) for recording in recordings)
+    runs = prepare_all(recordings, file)
     say("fitting the motor file as it is")
     with_it, _, _ = _rung(name, file, runs, judge, differing)
     without = replace(

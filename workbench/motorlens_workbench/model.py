@@ -72,9 +72,14 @@ def by_angle(model: Model, run: Run) -> tuple[Effect, ...]:
     )
 
 
+def without_angle(model: Model, run: Run) -> tuple[Effect, ...]:
+    """What goes with the shaft angle, in a run of which that is not known: it averages out."""
+    return () if run.turns else tuple(one for one in model.file.motor.effects if "phi" in one.states)
+
+
 def motor_of(model: Model, run: Run) -> Motor:
-    """The motor that is simulated: without the torques that the measured angle determines."""
-    away = by_angle(model, run)
+    """The motor that is simulated: without the torques that the measured angle determines, or an unknown one averages."""
+    away = (*by_angle(model, run), *without_angle(model, run))
     motor = model.file.motor
     return replace(motor, effects=tuple(effect for effect in motor.effects if effect not in away))
 
@@ -157,11 +162,12 @@ def sensitivities_of(
     inputs, start = inputs_of(model, run, r), start_of(model, r)
     motor = motor_of(model, run)
     turned = tuple(f"{effect.name()}." for effect in by_angle(model, run))
+    absent = tuple(f"{effect.name()}." for effect in without_angle(model, run))
     local = [key.partition("@")[0] if key.endswith(f"@{r}") else key for key in keys]
     of_motor = tuple(
         name
         for key, name in zip(keys, local, strict=True)
-        if ("@" not in key and not _is_sensor(model, key) and not key.startswith(turned))
+        if ("@" not in key and not _is_sensor(model, key) and not key.startswith((*turned, *absent)))
         or name.startswith("initial.")
     )
     trajectory, derivative, linear = linearise_and_differentiate(motor, inputs, start, of_motor, smooth=True)

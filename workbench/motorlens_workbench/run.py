@@ -50,6 +50,7 @@ class Run:
         smooth: whether it was smoothed away as far as it can be.
         input_step: the least significant bit of either, 0 if continuous.
         converters: of the channels.
+        turns: whether what goes with the shaft angle is looked for in it, see `prepare_all`.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
     """
 
@@ -68,6 +69,7 @@ class Run:
     smooth: bool = False
     offset_below: Mapping[str, float] = field(default_factory=dict)
     converters: tuple[Converter, ...] = ()
+    turns: bool = True
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -199,6 +201,18 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse,
         offset_below=exact, converters=tuple(converter_of(recording.channels[q]) for q in used),
     )  # fmt: skip
+
+
+def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, ...]:
+    """Make recordings of one motor ready, see `prepare`.
+
+    Where the shaft stood at the start of a recording without an angle is not known, so what goes with the angle (cogging,
+    say) is looked for where the angle was measured, or in the most finely sampled recording alone.
+    """
+    runs = tuple(prepare(recording, file) for recording in recordings)
+    finest = min(runs, key=lambda run: run.period_s)
+    measured = any(run.angle is not None for run in runs)
+    return tuple(replace(run, turns=run.angle is not None if measured else run is finest) for run in runs)
 
 
 def largest_offset(y: Array) -> float | None:

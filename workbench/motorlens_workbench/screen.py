@@ -107,7 +107,15 @@ class Line:
 
     def of_effect(self, effects: Sequence[Effect]) -> Array:
         """(rows, C, m) what effects at their present sizes would change."""
-        return self.of_forcings([forcing(effect, self.trajectory) for effect in effects])
+        nothing = np.zeros(len(self.trajectory.inputs.time_s))
+        return self.of_forcings(
+            [
+                forcing(effect, self.trajectory)
+                if self.run.turns or "phi" not in effect.states
+                else Forcing(nothing, nothing, nothing)
+                for effect in effects
+            ]
+        )
 
     def of_sensor(self, sensor: SensorModel) -> Array:
         """(rows, C) what a fault of this size would change."""
