@@ -185,18 +185,21 @@ class _Space:
     """A plan on the first tiles of the memory: what to call, with what, into what."""
 
     def __init__(self, plan: _Plan, memory: list[Array], tiles: int) -> None:
-        memory = [part[:tiles] for part in memory]
+        # A tile alone is a plain matrix, of which numpy makes the same product in half the time.
+        product = np.dot if tiles == 1 else np.matmul
+        memory = [part[0] if tiles == 1 else part[:tiles] for part in memory]
         columns = memory[0]
-        self.features = columns[:, : plan.features]
+        self.features = columns[..., : plan.features, :]
         self.calls: list[tuple[Any, tuple[Array, ...], Array]] = []
         for action in plan.actions:
             if isinstance(action, int):
                 matrix = plan.products[action - 1]
-                self.calls.append((np.matmul, (matrix, columns[:, : matrix.shape[1]]), memory[action]))
+                self.calls.append((product, (matrix, columns[..., : matrix.shape[1], :]), memory[action]))
             else:
                 step, uses, column = action
-                arguments = tuple(memory[use.memory][:, use.start : use.end] for use in uses)
-                self.calls.append((step.function, arguments, columns[:, column : column + step.width]))
+                arguments = tuple(memory[use.memory][..., use.start : use.end, :] for use in uses)
+                self.calls.append((step.function, arguments, columns[..., column : column + step.width, :]))
         self.estimate, self.sigma = (
-            memory[use.memory][:, use.start : use.end] for use in (plan.estimate, plan.sigma)
+            memory[use.memory][..., use.start : use.end, :].reshape(tiles, -1, TILE)
+            for use in (plan.estimate, plan.sigma)
         )

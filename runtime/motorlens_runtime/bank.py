@@ -8,13 +8,13 @@ last bit however the samples are cut into calls. A matrix product would be as fa
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.records import record
 from motorlens_runtime.specification import Specification, signals_of
 
 BLOCK = 64
@@ -24,15 +24,14 @@ _BLOCKS_AT_ONCE = 64
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class BankState:
-    """State of S filters after `count` samples, arrays (S,): `before` the block that is being filled, the response
-    `inside` it from zero, and the product of the decays since it began, `reach`."""
+    """State of S filters after `count` samples: the values (S,) `before` the block that is being filled, and within it (2, S)
+    the response from zero and its reach, the product of the decays: what becomes of the values before."""
 
     count: int
     before: Array
-    inside: Array
-    reach: Array
+    within: Array
 
 
 class FilterBank:
@@ -50,17 +49,20 @@ class FilterBank:
         self.signals = tuple(signals)
         self.tau_s = np.array(tau_s, dtype=np.float64)
         self._inputs = np.arange(len(self.signals)) if inputs is None else inputs
-        self._key = tuple(self.tau_s.tolist())
+        # A live line keeps its step; one cache for each bank, so that the step alone is the key.
+        self._decay = lru_cache(maxsize=64)(self._decay_over)
+        self._reach = lru_cache(maxsize=16)(self._reach_of)
 
     def start(self, values: Array | None = None) -> BankState:
         """A fresh state: all filters at zero, or at `values` (S,)."""
         width = len(self.signals)
         before = np.zeros(width) if values is None else np.array(values, dtype=np.float64).reshape(width)
-        return BankState(0, before, np.zeros(width), np.ones(width))
+        return BankState(0, before, _fresh(width))
 
     def values(self, state: BankState) -> Array:
         """The filters' values (S,) after the last sample."""
-        result: Array = state.inside + state.reach * state.before
+        inside, reach = state.within
+        result: Array = inside + reach * state.before
         return result
 
     def advance(
@@ -99,31 +101,31 @@ class FilterBank:
         if not len(dt_s):
             return state, values
         steps, place, before = dt_s.tolist(), state.count % BLOCK, state.before
-        # Response and reach decay alike: one multiplication for both.
-        both = np.array((state.inside, state.reach))
-        inside, reach = both
+        within = state.within.copy()
+        inside, reach = within
         gained = signals.take(self._inputs, axis=0).T
         if steps.count(steps[0]) == len(steps):
-            decay, gain = _decay(steps[0], self._key)
+            decay, gain = self._decay(steps[0])
             decays, gained = [decay] * len(steps), gain * gained
         else:
-            pairs = [_decay(step, self._key) for step in steps]
+            pairs = [self._decay(step) for step in steps]
             decays, gained = [decay for decay, _ in pairs], np.array([gain for _, gain in pairs]) * gained
         asked, column = [*rows, -1], 0
         for k, decay in enumerate(decays):
             if place:
-                both *= decay
+                within *= decay
                 inside += gained[k]
             else:
-                inside[:], reach[:] = gained[k], decay
+                inside[:], reach[:] = gained[k], decay[1]
             place += 1
             if k == asked[column]:
                 values[:, column] = inside + reach * before
                 column += 1
             if place == BLOCK:
                 before = inside + reach * before
-                inside[:], reach[:], place = 0.0, 1.0, 0
-        return BankState(state.count + len(steps), before, inside, reach), values
+                within, place = _fresh(len(before)), 0
+                inside, reach = within
+        return BankState(state.count + len(steps), before, within), values
 
     def _side_by_side(self, state: BankState, dt_s: Array, signals: Array, values: Array) -> BankState:
         """Whole blocks, the recursion of all of them in step; writes `values` (S, blocks * 64)."""
@@ -132,10 +134,10 @@ class FilterBank:
         inputs = np.ascontiguousarray(signals.reshape(len(signals), blocks, BLOCK).transpose(2, 0, 1))
         y = inputs.take(self._inputs, axis=1)
         if (dt_s == dt_s[0]).all():
-            decay, gain = _decay(float(dt_s[0]), self._key)
+            decay, gain = self._decay(float(dt_s[0]))
             y *= gain[:, None]
-            decays: Any = (np.repeat(decay[:, None], blocks, axis=1),) * BLOCK
-            reach = _reach(float(dt_s[0]), self._key)[:, :, None]
+            decays: Any = (np.repeat(decay[0][:, None], blocks, axis=1),) * BLOCK
+            reach = self._reach(float(dt_s[0]))[:, :, None]
         else:
             dt = dt_s.reshape(blocks, BLOCK).T
             each = np.exp(-dt[:, None, :] / self.tau_s[:, None])
@@ -160,7 +162,17 @@ class FilterBank:
         for k in range(0, BLOCK, 8):
             y[k : k + 8] += reach[k : k + 8] * earlier
         np.copyto(values.reshape(width, blocks, BLOCK), y.transpose(1, 2, 0))
-        return BankState(state.count + len(dt_s), before[-1].copy(), np.zeros(width), np.ones(width))
+        return BankState(state.count + len(dt_s), before[-1].copy(), _fresh(width))
+
+    def _decay_over(self, step: float) -> tuple[Array, Array]:
+        """The decay over a step, (2, S): response and reach decay alike; and what is left of one, (S,)."""
+        decay = np.exp(-step / self.tau_s)
+        return np.array((decay, decay)), 1.0 - decay
+
+    def _reach_of(self, step: float) -> Array:
+        """Products of the decays from the start of a block, (64, S)."""
+        decay, _ = self._decay(step)
+        return np.multiply.accumulate(np.repeat(decay[:1], BLOCK, axis=0), axis=0)
 
 
 def bank_of(specification: Specification) -> FilterBank:
@@ -170,15 +182,6 @@ def bank_of(specification: Specification) -> FilterBank:
     return FilterBank([f.signal for f in filters], [f.tau_s for f in filters], inputs)
 
 
-@lru_cache(maxsize=64)
-def _decay(step: float, tau_s: tuple[float, ...]) -> tuple[Array, Array]:
-    """The decay over a step, (S,), and what is left of one."""
-    decay = np.exp(-step / np.array(tau_s))
-    return decay, 1.0 - decay
-
-
-@lru_cache(maxsize=16)
-def _reach(step: float, tau_s: tuple[float, ...]) -> Array:
-    """Products of the decays from the start of a block, (64, S)."""
-    decay, _ = _decay(step, tau_s)
-    return np.multiply.accumulate(np.repeat(decay[None], BLOCK, axis=0), axis=0)
+def _fresh(width: int) -> Array:
+    """Before the first sample of a block."""
+    return np.array((np.zeros(width), np.ones(width)))

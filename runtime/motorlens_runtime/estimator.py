@@ -1,7 +1,8 @@
 """Samples in, estimates with their deviation and quality out. Every sample updates the state; the network is evaluated
 where a row is asked for. The result of a row is the same to the last bit however the samples are cut into blocks."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import field, replace
 from math import isfinite
 from typing import Any
 
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.backend import TILE
 from motorlens_runtime.bank import BankState
-from motorlens_runtime.features import Channels
 from motorlens_runtime.gate import Gate, GateState, Samples
 from motorlens_runtime.quality import Quality, mark
+from motorlens_runtime.records import record
 from motorlens_runtime.sensor import Sensor, scales, tiled, untiled
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ _TILES_AT_ONCE = 64
 _CHECK_TOLERANCE = 1e-3
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Estimates:
     """m rows: `time_ns` (m,), `values` and `sigma` (m, K) in the units of the sensor's outputs, `quality` words (m,)."""
 
@@ -37,7 +38,7 @@ class Estimates:
         return len(self.time_ns)
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class EstimatorState:
     """All that the estimator remembers."""
 
@@ -67,9 +68,11 @@ class Estimator:
         self._gate = Gate(sensor.specification, period_s)
         self._outputs, self._scales = len(sensor.specification.outputs), scales(sensor.specification)
         envelope = sensor.specification.envelope
-        self._mean = None if envelope.mean is None else envelope.mean[:, None]
+        self._mean = None if envelope.mean is None else np.repeat(envelope.mean[:, None], TILE, axis=1)
         if envelope.cholesky is not None:
             self._whitening, self._limit = np.ascontiguousarray(envelope.cholesky.T), envelope.limit
+        # The tile that a live line fills; what stands in other columns than those asked for does not matter.
+        self._tile = np.zeros((1, len(sensor.specification.features), TILE))
 
     def push(self, samples: Samples, rows: NDArray[np.intp] | None = None) -> Estimates:
         """Take in n samples and evaluate the sensor at `rows` of them (indices in rising order; None is all).
@@ -77,24 +80,20 @@ class Estimator:
         Raises:
             DataError: time runs backwards, or the sensor needs the ambient temperature and there is none.
         """
-        gate, gated = self._gate.inspect(self.state.gate, samples)
-        sensor = self.sensor
-        start = self.state.bank.count
-        bank, observer, features = sensor.extractor.advance(
-            self.state.bank,
-            self.state.observer,
-            Channels(gated.voltage_V, gated.current_A, gated.ambient_C),
-            gated.dt_s,
-            gated.used,
-            rows,
+        state = self.state
+        gate, gated = self._gate.inspect(state.gate, samples)
+        bank, observer, features = self.sensor.extractor.advance(
+            state.bank, state.observer, gated, gated.dt_s, gated.used, rows
         )
-        mismatch = self.state.mismatch
-        chosen: NDArray[np.intp] | slice = slice(None) if rows is None else rows
-        values, sigma, outside, disagree = self._evaluate(features, start, rows)
-        quality = gated.quality[chosen] if rows is not None else gated.quality
-        if outside.any():
+        mismatch = state.mismatch
+        values, sigma, outside, disagree = self._evaluate(features, state.bank.count, rows)
+        time_ns, quality = samples.time_ns, gated.quality
+        if rows is not None:
+            time_ns, quality = time_ns[rows], quality[rows]
+        if np.count_nonzero(outside):
             mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
-        if not isfinite(values.sum() + sigma.sum()):
+        # One sum tells whether all are finite; where it overflows, each is asked.
+        if not isfinite(np.vdot(values, sigma)):
             mark(quality, ~(np.isfinite(values) & np.isfinite(sigma)).all(axis=1), Quality.NOT_FINITE)
         # Once two implementations have disagreed, neither is believed until the sensor is loaded again.
         if mismatch:
@@ -102,7 +101,7 @@ class Estimator:
         elif disagree is not None:
             mark(quality, slice(disagree, None), Quality.BACKEND_MISMATCH)
         self.state = EstimatorState(bank, gate, mismatch or disagree is not None, observer)
-        return Estimates(samples.time_ns[chosen], values, sigma, quality)
+        return Estimates(time_ns, values, sigma, quality)
 
     def _evaluate(
         self, features: Array, start: int, rows: NDArray[np.intp] | None
@@ -116,16 +115,16 @@ class Estimator:
         if not m:
             empty = np.zeros((0, self._outputs))
             return empty, empty, np.zeros(0, dtype=bool), None
-        if rows is None:
-            first = start // TILE
-            place: Any = slice(start % TILE, start % TILE + m)
-            tiles = tiled(features, start % TILE)
-            numbers = np.arange(first, first + len(tiles))
-        elif m == 1:
-            alone, at = divmod(start + int(rows[0]), TILE)
-            numbers, place = np.array((alone,)), slice(at, at + 1)
-            tiles = np.zeros((1, len(features), TILE))
-            tiles[0, :, at] = features[:, 0]
+        numbers: Sequence[int] | NDArray[np.intp]
+        if rows is None or m == 1:
+            first, at = divmod(start if rows is None else start + int(rows[0]), TILE)
+            place: Any = slice(at, at + m)
+            if at + m <= TILE:
+                tiles = self._tile
+                tiles[0, :, place] = features
+            else:
+                tiles = tiled(features, at)
+            numbers = range(first, first + len(tiles))
         else:
             number, place = np.divmod(start + rows, TILE)
             new = np.diff(number, prepend=number[0] - 1) != 0
@@ -137,7 +136,7 @@ class Estimator:
         estimate, sigma = self.sensor.backend.evaluate(tiles)
         disagree = None
         if self.sensor.checker is not None and -int(numbers[0]) % _CHECK_EVERY <= numbers[-1] - numbers[0]:
-            disagree = self._disagreement(tiles, numbers, place, estimate)
+            disagree = self._disagreement(tiles, np.asarray(numbers), place, estimate)
         outside = self._outside(tiles)[place]
         if len(tiles) == 1:
             return estimate[0][:, place].T, sigma[0][:, place].T, outside, disagree
@@ -158,11 +157,16 @@ class Estimator:
 
     def _outside(self, tiles: Array) -> NDArray[np.bool_]:
         """Which columns of the tiles are outside the envelope, (t * 16,)."""
-        outside = np.zeros((len(tiles), TILE), dtype=bool)
-        if self._mean is not None:
-            for start in range(0, len(tiles), _TILES_AT_ONCE):
-                part = slice(start, start + _TILES_AT_ONCE)
-                distance = self._whitening @ (tiles[part] - self._mean)
-                distance *= distance
-                np.greater(np.add.reduce(distance, axis=1), self._limit, out=outside[part])
-        return outside.reshape(-1)
+        if self._mean is None:
+            return np.zeros(len(tiles) * TILE, dtype=bool)
+        if len(tiles) == 1:
+            return self._beyond(tiles[0], self._mean)
+        parts = [tiles[k : k + _TILES_AT_ONCE] for k in range(0, len(tiles), _TILES_AT_ONCE)]
+        return np.concatenate([self._beyond(part, self._mean) for part in parts]).reshape(-1)
+
+    def _beyond(self, tiles: Array, mean: Array) -> NDArray[np.bool_]:
+        """Where the squared Mahalanobis distance from the mean is above its limit, (..., 16), in tiles (..., F, 16)."""
+        distance = self._whitening @ (tiles - mean)
+        distance *= distance
+        beyond: NDArray[np.bool_] = np.add.reduce(distance, axis=-2) > self._limit
+        return beyond

@@ -1,17 +1,17 @@
 """From samples to features: the signals of a specification, and the rows that the network is given."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.records import record
 from motorlens_runtime.specification import Specification, signals_of
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Channels:
     """What was measured at n instants: volts, amperes, degrees Celsius, each (n,)."""
 
@@ -30,8 +30,11 @@ class FeatureMap:
     def __init__(self, specification: Specification) -> None:
         filters, features = specification.filters, specification.features
         self._signals = signals_of(specification)
-        self._factors = [_FACTORS[name] for name in self._signals]
-        self._uses_emf = any("emf" in factors for factors in self._factors)
+        factors = [(*_FACTORS[name], "one", "one")[:2] for name in self._signals]
+        self._first, self._second = (
+            np.array([_MEASURED.index(name) for name in names], dtype=np.intp)
+            for names in zip(*factors, strict=True)
+        )
         self._resistance_ohm = specification.resistance_ohm
         place = {name: index for index, name in enumerate(self._signals)}
         first = len(place)
@@ -51,19 +54,15 @@ class FeatureMap:
 
     def signals(self, channels: Channels) -> Array:
         """The signals (U, n) of n samples."""
-        known = {"voltage": channels.voltage_V, "current": channels.current_A}
-        if channels.ambient_C is not None:
-            known["ambient"] = channels.ambient_C
-        if self._uses_emf:
-            # Back-EMF with the winding taken as cold.
-            known["emf"] = channels.voltage_V - self._resistance_ohm * channels.current_A
-        table = np.empty((len(self._signals), len(channels.voltage_V)))
-        for row, factors in zip(table, self._factors, strict=True):
-            if len(factors) == 2:
-                np.multiply(known[factors[0]], known[factors[1]], out=row)
-            else:
-                row[:] = known[factors[0]] if factors else 1.0
-        return table
+        voltage, current = channels.voltage_V, channels.current_A
+        measured = np.empty((len(_MEASURED), len(voltage)))
+        measured[0], measured[1], measured[2] = 1.0, voltage, current
+        # Back-EMF with the winding taken as cold.
+        np.subtract(voltage, self._resistance_ohm * current, out=measured[3])
+        measured[4] = 0.0 if channels.ambient_C is None else channels.ambient_C
+        signals = measured.take(self._first, axis=0)
+        signals *= measured.take(self._second, axis=0)
+        return signals
 
     def features(self, signals: Array, filtered: Array, observed: Array | None) -> Array:
         """Features (F, m) in SI, of signals (U, m), filters (S, m) and observer outputs (M, m) after the same samples."""
@@ -74,7 +73,8 @@ class FeatureMap:
         return features
 
 
-# Each signal as a product of at most two of what is measured.
+_MEASURED = ("one", "voltage", "current", "emf", "ambient")
+# Each signal as a product of at most two of them; without a second, or any, it is one.
 _FACTORS: Mapping[str, tuple[str, ...]] = {
     "one": (), "voltage": ("voltage",), "current": ("current",), "ambient": ("ambient",), "emf": ("emf",),
     "current_squared": ("current", "current"), "voltage_squared": ("voltage", "voltage"), "power": ("voltage", "current"),

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.crc32 import crc32_rows
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.records import record
 
 VERSION = 1
 DELIMITER = b"\0"
@@ -53,7 +54,7 @@ class Flag(IntFlag):
     OVERRUN = 4
 
 
-@dataclass(frozen=True)
+@record(frozen=True)
 class Frame:
     """One frame: kind, flags (`Flag` bits), sequence number 0..65535, device clock in microseconds mod 2^32, payload."""
 
@@ -198,24 +199,24 @@ def encode(frame: Frame) -> bytes:
 
 def decode(body: bytes) -> Frame | None:
     """The frame between two zeros, or None if it is damaged, of another version or too long."""
-    if not OVERHEAD < len(body) <= MAX_BODY:
+    length = len(body)
+    if not OVERHEAD < length <= MAX_BODY:
         return None
-    out = bytearray()
+    # A code says where the next one stands; there, and that is all, a zero belongs.
+    out = bytearray(body)
     at = 0
-    while at < len(body):
-        code = body[at]
-        if code == 0 or at + code > len(body):
+    while at < length:
+        code = out[at]
+        if code == 0:
             return None
-        out += body[at + 1 : at + code]
+        out[at] = 0
         at += code
-        if at < len(body):
-            out.append(0)
-    if binascii.crc32(memoryview(out)[:-4]) != int.from_bytes(out[-4:], "little"):
+    if at != length or binascii.crc32(out[1:-4]) != int.from_bytes(out[-4:], "little"):
         return None
-    kind, second, sequence, t0_us = HEADER.unpack_from(out)
+    kind, second, sequence, t0_us = HEADER.unpack_from(out, 1)
     if second >> 4 != VERSION:
         return None
-    return Frame(kind, sequence, t0_us, bytes(out[HEADER.size : -4]), second & 0x0F)
+    return Frame(kind, sequence, t0_us, bytes(out[1 + HEADER.size : -4]), second & 0x0F)
 
 
 def decode_run(bodies: Sequence[bytes]) -> tuple[FrameRun, int]:

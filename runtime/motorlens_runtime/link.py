@@ -34,9 +34,8 @@ _ON_GRID_NS = 1_500
 # A stamp this far in the past is a restarted clock, not a frame that comes late.
 _RESTART_NS = 1_000_000_000
 _WRAP_NS = (1 << 32) * 1000
-# Up to so many samples, plain numbers are faster than arrays.
-_FEW = 16
 _ONE = np.ones(1, dtype=bool)
+_SAMPLES = int(Kind.SAMPLES)
 
 
 @dataclass(frozen=True)
@@ -75,6 +74,7 @@ class Link(Dialect):
         # The grid: its anchor on the continuous time, and how many samples since; the raw stamp expected next.
         self._anchor_ns = 0
         self._count = 0
+        self._rate = 1, 0  # HELLO's, with nanoseconds over its denominator
         self._offset_ns = 0
         self._started = False
         self._restarted = False
@@ -123,28 +123,26 @@ class Link(Dialect):
         scaling, sequence = self._scaling, self._sequence
         if scaling is None or sequence is None or (frame := self._decoder.whole(data)) is None:
             return None
-        payload, rest = frame.payload, len(frame.payload) - 2
+        payload = frame.payload
         if (
-            frame.kind != Kind.SAMPLES
+            frame.kind != _SAMPLES
             or frame.flags
             or frame.sequence != (sequence + 1) & 0xFFFF
-            or rest <= 0
-            or rest != payload[1] * scaling.width
+            or len(payload) < 2
             or payload[0] != scaling.schema
+            or not 0 < (n := payload[1]) * scaling.width == len(payload) - 2
             or not self._on_grid(frame.t0_us)
         ):
             return None
-        n = payload[1]
+        times = np.array([self._time_ns(k) for k in range(self._count, self._count + n)], dtype=np.int64)
         self._sequence = frame.sequence
-        numerator, step_ns = scaling.rate
-        times = [self._anchor_ns + k * step_ns // numerator for k in range(self._count, self._count + n)]
         self._count += n
         self._count_of["samples"] += n
         self._last_arrival_ns = now_ns
-        codes = np.frombuffer(payload, dtype=scaling.layout, offset=2)
-        stamps = np.array(times, dtype=np.int64)
-        few = scaling.few(codes, stamps) if n <= _FEW else None
-        return scaling.samples(codes.reshape(n, -1), stamps) if few is None else few
+        few = scaling.few(payload, times)
+        if few is None:
+            return scaling.samples(np.frombuffer(payload, scaling.layout, offset=2).reshape(n, -1), times)
+        return few
 
     def _take(self, run: FrameRun, parts: list[Samples], now_ns: int) -> None:
         kind = int(run.kind[0])
@@ -184,6 +182,7 @@ class Link(Dialect):
         if self.hello is not None and hello.rate_Hz != self.hello.rate_Hz:
             self._anchor_ns, self._count = self._next_ns(), 0
         self.hello, self.complaint, self._scaling = hello, None, Scaling(hello, columns)
+        self._rate = hello.rate_Hz[0], 10**9 * hello.rate_Hz[1]
 
     def _follow_sequence(self, run: FrameRun) -> None:
         if len(run) == 1:
@@ -291,18 +290,18 @@ class Link(Dialect):
         return True, None
 
     def _next_ns(self) -> int:
-        assert self.hello is not None
-        numerator, denominator = self.hello.rate_Hz
-        return self._anchor_ns + self._count * 10**9 * denominator // numerator
+        return self._time_ns(self._count)
+
+    def _time_ns(self, count: int) -> int:
+        """Time of a sample by its number since the anchor."""
+        numerator, step_ns = self._rate
+        return self._anchor_ns + count * step_ns // numerator
 
     def _grid(self, count: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Times of samples by their number since the anchor."""
-        assert self.hello is not None
-        numerator, denominator = self.hello.rate_Hz
+        """Times of samples by their number since the anchor, without a product that overflows."""
+        numerator, step_ns = self._rate
         whole, part = np.divmod(count, numerator)
-        times: NDArray[np.int64] = (
-            self._anchor_ns + whole * (10**9 * denominator) + part * (10**9 * denominator) // numerator
-        )
+        times: NDArray[np.int64] = self._anchor_ns + whole * step_ns + part * step_ns // numerator
         return times
 
 

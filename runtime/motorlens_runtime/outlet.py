@@ -37,11 +37,11 @@ class Grid:
         """Indices of the rows that are due."""
         if not self._period_ns or not len(time_ns):
             return np.arange(len(time_ns))
-        ticks = time_ns // self._period_ns
-        first, last = int(ticks[0]), int(ticks[-1])
+        first, last = int(time_ns[0]) // self._period_ns, int(time_ns[-1]) // self._period_ns
         before, self._last = self._last, last
         if first == last:
             return _FIRST if first != before else _NONE
+        ticks = time_ns // self._period_ns
         new = np.empty(len(ticks), dtype=bool)
         new[0] = first != before
         np.not_equal(ticks[1:], ticks[:-1], out=new[1:])
