@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 
 @record(frozen=True)
 class BankState:
-    """State of S filters after `count` samples: the values (S,) `before` the block that is being filled, and within it (2, S)
-    the response from zero and its reach, the product of the decays: what becomes of the values before."""
+    """State of S filters after `count` samples: the values (S,) `before` the block that is being filled, and `within` it
+    (2, S) the response from zero and its reach, the product of the decays: what becomes of the values before."""
 
     count: int
     before: Array

@@ -160,13 +160,15 @@ class Estimator:
         if self._mean is None:
             return np.zeros(len(tiles) * TILE, dtype=bool)
         if len(tiles) == 1:
-            return self._beyond(tiles[0], self._mean)
-        parts = [tiles[k : k + _TILES_AT_ONCE] for k in range(0, len(tiles), _TILES_AT_ONCE)]
-        return np.concatenate([self._beyond(part, self._mean) for part in parts]).reshape(-1)
+            return self._beyond(np.dot(self._whitening, tiles[0] - self._mean))
+        outside = np.empty((len(tiles), TILE), dtype=bool)
+        for start in range(0, len(tiles), _TILES_AT_ONCE):
+            part = slice(start, start + _TILES_AT_ONCE)
+            outside[part] = self._beyond(self._whitening @ (tiles[part] - self._mean), axis=1)
+        return outside.reshape(-1)
 
-    def _beyond(self, tiles: Array, mean: Array) -> NDArray[np.bool_]:
-        """Where the squared Mahalanobis distance from the mean is above its limit, (..., 16), in tiles (..., F, 16)."""
-        distance = self._whitening @ (tiles - mean)
-        distance *= distance
-        beyond: NDArray[np.bool_] = np.add.reduce(distance, axis=-2) > self._limit
+    def _beyond(self, whitened: Array, axis: int = 0) -> NDArray[np.bool_]:
+        """Where the squared distance from the mean, the sum of squares along `axis`, is above its limit."""
+        whitened *= whitened
+        beyond: NDArray[np.bool_] = np.add.reduce(whitened, axis) > self._limit
         return beyond

@@ -41,9 +41,10 @@ class Extractor:
                 observer, channels.voltage_V, channels.current_A, channels.ambient_C, dt_s, used, rows
             )
             observed = outputs.T
-        if rows is not None:
-            signals = signals.take(rows, axis=1)
-        return bank, observer, self.map.features(signals, filtered, observed)
+        raw = None
+        if self.map.uses_signals:
+            raw = signals if rows is None else signals.take(rows, axis=1)
+        return bank, observer, self.map.features(filtered, raw, observed)
 
 
 def extractor_of(specification: Specification) -> Extractor:

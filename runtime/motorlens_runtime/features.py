@@ -23,8 +23,8 @@ class Channels:
 class FeatureMap:
     """How features are made of signals and filters, as index arrays: each is a column, or the difference of two.
 
-    The columns are the U signals that are used, then the S filters, then the outputs of the observer. All arrays have time
-    along their last axis.
+    The columns are the S filters, then one of zeros, then the U signals, then the outputs of the observer; the last two only
+    as far as features need them. All arrays have time along their last axis.
     """
 
     def __init__(self, specification: Specification) -> None:
@@ -32,25 +32,23 @@ class FeatureMap:
         self._signals = signals_of(specification)
         factors = [(*_FACTORS[name], "one", "one")[:2] for name in self._signals]
         self._first, self._second = (
-            np.array([_MEASURED.index(name) for name in names], dtype=np.intp)
-            for names in zip(*factors, strict=True)
+            np.array([_MEASURED.index(pair[k]) for pair in factors], dtype=np.intp) for k in (0, 1)
         )
         self._resistance_ohm = specification.resistance_ohm
-        place = {name: index for index, name in enumerate(self._signals)}
-        first = len(place)
-        observed = first + len(filters)
+        zero = len(filters)
+        self.uses_signals = any(feature.signal for feature in features)
+        observed = zero + 1 + (len(self._signals) if self.uses_signals else 0)
         pairs: list[tuple[int, ...]] = []
         for feature in features:
-            of_filters = tuple(first + index for index in feature.filters)
             if feature.kind == "observer":
                 pairs.append((observed + feature.output,))
             elif feature.signal:
-                pairs.append((place[feature.signal], *of_filters))
+                pairs.append((zero + 1 + self._signals.index(feature.signal), *feature.filters))
             else:
-                pairs.append(of_filters)
-        self._plus = np.array([pair[0] for pair in pairs], dtype=np.intp)
-        self._differences = np.array([k for k, pair in enumerate(pairs) if len(pair) > 1], dtype=np.intp)
-        self._minus = np.array([pair[1] for pair in pairs if len(pair) > 1], dtype=np.intp)
+                pairs.append(feature.filters)
+        self._plus, self._minus = (
+            np.array([(*pair, zero)[k] for pair in pairs], dtype=np.intp) for k in (0, 1)
+        )
 
     def signals(self, channels: Channels) -> Array:
         """The signals (U, n) of n samples."""
@@ -64,12 +62,14 @@ class FeatureMap:
         signals *= measured.take(self._second, axis=0)
         return signals
 
-    def features(self, signals: Array, filtered: Array, observed: Array | None) -> Array:
-        """Features (F, m) in SI, of signals (U, m), filters (S, m) and observer outputs (M, m) after the same samples."""
-        columns = np.concatenate((signals, filtered) if observed is None else (signals, filtered, observed))
+    def features(self, filtered: Array, signals: Array | None, observed: Array | None) -> Array:
+        """Features (F, m) in SI, of filters (S, m), signals (U, m) and observer outputs (M, m) after the same samples; the
+        last two None where no feature uses them."""
+        parts = [filtered, np.zeros((1, filtered.shape[1]))]
+        parts += [part for part in (signals, observed) if part is not None]
+        columns = np.concatenate(parts)
         features = columns.take(self._plus, axis=0)
-        if len(self._minus):
-            features[self._differences] -= columns[self._minus]
+        features -= columns.take(self._minus, axis=0)
         return features
 
 

@@ -104,11 +104,12 @@ class LineFeed:
         if self._source is None:
             self._try_again(timeout_s)
             return NO_SAMPLES
+        decoder = self._decoder
         try:
-            if self._decoder is not None:
-                if question := self._decoder.request(self._clock()):
+            if decoder is not None and not isinstance(decoder, Link):  # frames come unasked
+                if question := decoder.request(self._clock()):
                     self._source.write(question)
-                timeout_s = min(timeout_s, self._decoder.patience_s(self._clock()))
+                timeout_s = min(timeout_s, decoder.patience_s(self._clock()))
             data = self._source.read(timeout_s)
         except DeviceError as error:
             self._lost(error)
@@ -116,7 +117,7 @@ class LineFeed:
         self.arrival_ns = self._clock()
         if data is None:
             return None
-        decoder = self._decoder or self._recognised(data)
+        decoder = decoder or self._recognised(data)
         if decoder is None:
             return NO_SAMPLES
         heard, self._heard = self._heard, b""

@@ -152,8 +152,9 @@ class _Folding:
         function, given = _FUNCTIONS[node.op], arguments
         if node.op == "Clip":
             limits = [*arguments[1:], None, None]
-            low = -np.inf if limits[0] is None else np.asarray(limits[0]).item()
-            high = np.inf if limits[1] is None else np.asarray(limits[1]).item()
+            # As arrays, which numpy takes as they are.
+            low = np.array(-np.inf if limits[0] is None else np.asarray(limits[0]).item())
+            high = np.array(np.inf if limits[1] is None else np.asarray(limits[1]).item())
             function, given = partial(_clip, low=low, high=high), arguments[:1]
         linear = [self.linear(argument) for argument in given]
         width = max(len(argument.weights) for argument in linear)
@@ -195,7 +196,7 @@ def _gemm(node: Node, a: NDArray[Any], b: NDArray[Any], c: NDArray[Any] | None =
     return product if c is None else product + beta * c
 
 
-def _clip(x: Array, *, low: float, high: float, out: Array | None = None) -> Array:
+def _clip(x: Array, *, low: Array, high: Array, out: Array | None = None) -> Array:
     bounded: Array = np.minimum(np.maximum(x, low, out=out), high, out=out)
     return bounded
 

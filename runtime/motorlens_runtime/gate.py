@@ -6,7 +6,6 @@ and its doubts are said in the quality word. All decisions depend on earlier sam
 
 from dataclasses import replace
 from math import isfinite
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray

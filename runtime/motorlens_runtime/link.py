@@ -59,6 +59,8 @@ class Link(Dialect):
         hello: what the device said of itself, None before.
         status: its last counters, None before.
         complaint: why the last HELLO was of no use, None if it was.
+        period_s: time between samples, None before HELLO.
+        device: what the device calls itself.
     """
 
     def __init__(self) -> None:
@@ -66,6 +68,8 @@ class Link(Dialect):
         self.hello: Hello | None = None
         self.status: Status | None = None
         self.complaint: str | None = None
+        self.period_s: float | None = None
+        self.device = ""
         self._decoder = Decoder()
         self._assembler = HelloAssembler()
         self._scaling: Scaling | None = None
@@ -85,16 +89,6 @@ class Link(Dialect):
     def counters(self) -> Counters:
         """What happened on the line so far."""
         return Counters(**self._count_of)
-
-    @property
-    def period_s(self) -> float | None:
-        """Time between samples, None before HELLO."""
-        return None if self.hello is None else self.hello.rate_Hz[1] / self.hello.rate_Hz[0]
-
-    @property
-    def device(self) -> str:
-        """What the device calls itself."""
-        return "" if self.hello is None else self.hello.device
 
     def feed(self, data: bytes, now_ns: int) -> Samples:
         """See `Dialect.feed`; stamps are the device's."""
@@ -183,6 +177,7 @@ class Link(Dialect):
             self._anchor_ns, self._count = self._next_ns(), 0
         self.hello, self.complaint, self._scaling = hello, None, Scaling(hello, columns)
         self._rate = hello.rate_Hz[0], 10**9 * hello.rate_Hz[1]
+        self.period_s, self.device = hello.rate_Hz[1] / hello.rate_Hz[0], hello.device
 
     def _follow_sequence(self, run: FrameRun) -> None:
         if len(run) == 1:

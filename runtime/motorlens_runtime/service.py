@@ -93,8 +93,9 @@ class Service:
                 self.take(samples)
             else:
                 self._stale()
-            self._count()
-            if self._outlets and all(outlet.dead for outlet in self._outlets):
+            if self._clock() - self._counted_ns >= _COUNT_EVERY_NS:
+                self._count()
+            if self._outlets and all([outlet.dead for outlet in self._outlets]):
                 return
 
     def take(self, samples: Samples) -> None:
@@ -184,6 +185,8 @@ class Service:
 
     def _finished(self) -> bool:
         """Whether the stream is as long as was asked for; the host's clock ends one that falls silent."""
+        if self._settings.duration_s == np.inf:
+            return False
         duration_ns = self._settings.duration_s * 1e9
         gate = None if self._estimator is None else self._estimator.state.gate
         if gate is None or gate.last_ns is None or self._first_ns is None or self._period_s is None:
@@ -194,15 +197,12 @@ class Service:
 
     def _hand_out(self, estimates: Estimates) -> None:
         self._published += len(estimates)
-        if len(estimates) == 1:
-            self._words[int(estimates.quality[0])] += 1
-        else:
-            words, times = np.unique(estimates.quality, return_counts=True)
-            self._words.update(dict(zip(words.tolist(), times.tolist(), strict=True)))
+        self._words.update(estimates.quality.tolist())
         for outlet in self._outlets:
             outlet.put(estimates)
-        for event in [] if self._watch is None else self._watch.look(estimates):
-            self._tell(event.document())
+        if self._watch is not None:
+            for event in self._watch.look(estimates):
+                self._tell(event.document())
 
     def _tell(self, document: dict[str, Any]) -> None:
         """An event to all publishers and into the report."""
@@ -224,12 +224,10 @@ class Service:
         return following, estimates
 
     def _count(self) -> None:
-        now_ns = self._clock()
-        if now_ns - self._counted_ns >= _COUNT_EVERY_NS:
-            self._counted_ns = now_ns
-            counts = self.counts()
-            for outlet in self._outlets:
-                outlet.put_counts(counts)
+        self._counted_ns = self._clock()
+        counts = self.counts()
+        for outlet in self._outlets:
+            outlet.put_counts(counts)
 
     def _stale(self) -> None:
         """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale."""
@@ -249,7 +247,7 @@ class Service:
 
     def _judge_lag(self, samples: Samples, arrival_ns: int) -> Samples:
         """Mark samples that come later than the stream has shown it can."""
-        lag_ns = float(arrival_ns - int(samples.time_ns[-1]))
+        lag_ns = arrival_ns - int(samples.time_ns[-1])
         forgotten = _DRIFT * (arrival_ns - self._lag_at_ns)
         self._lag_at_ns = arrival_ns
         best = lag_ns if self._best_lag_ns is None else min(self._best_lag_ns + forgotten, lag_ns)
