@@ -27,6 +27,23 @@ from motorlens_runtime.gate import Samples
 from motorlens_runtime.sensor import load_sensor
 
 ROOT = Path(__file__).resolve().parents[1]
+# Libraries that read a CSV, and how one asks them.
+READERS = {
+    "pandas": ("pandas", "pandas.read_csv(path)"),
+    "polars": ("polars", "polars.read_csv(path)"),
+    "pyarrow": ("pyarrow.csv", "pyarrow.csv.read_csv(path)"),
+    "numpy.loadtxt": ("numpy", "numpy.loadtxt(path, delimiter=',', skiprows=1)"),
+}
+# Reads a file and says what it took; importing the library is not counted.
+READING = """
+import sys, time, {module}
+path = sys.argv[1]
+started, cpu = time.perf_counter(), time.process_time()
+table = {call}
+seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
+memory = {{line.split()[0]: line.split()[1] for line in open("/proc/self/status") if line.startswith("Vm")}}
+print(seconds, cpu, memory["VmHWM:"])
+"""
 # Runs a command of `motorlens` and says what it took; VmHWM is the peak of this program alone.
 MEASURED = """
 import sys, time
@@ -208,39 +225,43 @@ def decoder() -> None:
 
 
 def recorded(sensor: str, rows: int) -> None:
-    """`motorlens infer` against libraries that only read the same file."""
+    """`motorlens infer` against libraries that merely read the same file, one after another in one run."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.csv"
         write_csv(path, rows)
         print(f"recorded file of {rows / 1e6:g} million rows, {path.stat().st_size / 1e6:.0f} MB:")
         for target in ("out.parquet", "out.csv"):
-            if target.endswith("parquet") and importlib.util.find_spec("pyarrow") is None:
+            if target.endswith("parquet") and not present("pyarrow"):
                 continue
             seconds, cpu, peak, _ = measured(
                 "infer", str(path), "--sensor", sensor, "-o", f"{folder}/{target}"
             )
-            rate, of_cpu = rows / seconds / 1e6, rows / cpu / 1e6
-            print(
-                f"  infer to {target}: {rate:.2f} million rows/s ({of_cpu:.2f} a processor second), "
-                f"peak memory {peak / 1000:.0f} MB"
-            )
-        readers = {
-            "pandas": "import pandas; pandas.read_csv(path)",
-            "polars": "import polars; polars.read_csv(path)",
-            "pyarrow": "import pyarrow.csv; pyarrow.csv.read_csv(path)",
-            "numpy.loadtxt": "import numpy; numpy.loadtxt(path, delimiter=',', skiprows=1)",
-        }
-        for name, code in readers.items():
-            if importlib.util.find_spec(name.partition(".")[0]) is None:
+            say_rate(f"infer to {target}", rows, seconds, cpu, peak)
+        for name, (module, call) in READERS.items():
+            if not present(module.partition(".")[0]):
                 continue
-            script = f"import sys, time; path = sys.argv[1]; started = time.process_time(); {code}"
-            script += "; print(time.process_time() - started)"
+            script = READING.format(module=module, call=call)
             done = subprocess.run(
                 [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
             )
-            print(
-                f"  {name} only reading: {rows / float(done.stdout) / 1e6:.2f} million rows a processor second"
-            )
+            seconds, cpu, peak = map(float, done.stdout.split())
+            say_rate(f"{name}, only reading", rows, seconds, cpu, peak)
+
+
+def present(module: str) -> bool:
+    """Whether a peer is installed; says so where it is not."""
+    found = importlib.util.find_spec(module) is not None
+    if not found:
+        print(f"  {module}: not installed, not compared; pip install 'motorlens[publish,bench]' brings it")
+    return found
+
+
+def say_rate(what: str, rows: int, seconds: float, cpu: float, peak_kB: float) -> None:
+    print(
+        f"  {what}: {rows / seconds / 1e6:.2f} million rows/s, {rows / cpu / 1e6:.2f} a processor second, "
+        f"peak memory {peak_kB / 1000:.0f} MB; load {os.getloadavg()[0]:.1f}",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

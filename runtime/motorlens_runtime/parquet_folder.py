@@ -136,5 +136,12 @@ def _table(rows: NDArray[Any], headings: Sequence[str], about: dict[str, str]) -
         ("quality", pa.uint32()),
     ]
     columns = [rows["time_s"], *rows["numbers"].T, rows["quality"]]
-    arrays = [pa.array(np.ascontiguousarray(column)) for column in columns]
+    arrays = [arrow_of(column) for column in columns]
     return pa.table(arrays, schema=pa.schema(fields, metadata=about))
+
+
+def arrow_of(column: NDArray[Any]) -> pa.Array:
+    """The same numbers for pyarrow, not copied. `pyarrow.array` would import pandas wherever that is installed."""
+    column = np.ascontiguousarray(column)
+    kind = pa.from_numpy_dtype(column.dtype)
+    return pa.Array.from_buffers(kind, len(column), [None, pa.py_buffer(column)])

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.parquet_folder import ParquetFolder
+from motorlens_runtime.parquet_folder import ParquetFolder, arrow_of
 from motorlens_runtime.publish import Header, Publisher, file_of, options_of
 
 _ROWS_PER_GROUP = 1 << 15
@@ -99,5 +99,5 @@ class ParquetPublisher:
         )
         quality = np.concatenate([e.quality for e in self._waiting])
         arrays = [time_s, *np.ascontiguousarray(pairs.T), quality]
-        self._writer.write_table(pa.table([pa.array(array) for array in arrays], schema=self._schema))
+        self._writer.write_table(pa.table([arrow_of(array) for array in arrays], schema=self._schema))
         self._waiting, self._rows = [], 0
