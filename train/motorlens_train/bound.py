@@ -144,7 +144,9 @@ def bound_of_recording(
 
     Args:
         motor: the true motor.
-        recording: voltage, load torque, ambient and temperature; measured voltage will do, its noise averages out.
+        recording: voltage, load torque, ambient and temperature; measured voltage will do, its noise averages out. But it
+            moves a resting rotor a little, so that the bound is that of one who does not know that the rotor rests: up
+            to a fifth more in temperature than with the true voltage.
         noise: what is assumed.
         prior: what is known before the first sample.
         load_steps_known: a genie tells when the load steps, and by about how much.

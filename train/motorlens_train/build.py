@@ -119,11 +119,8 @@ def build(
     if calibration:
         calibration = [frame.relative(c) if frame else c for c in calibration]
         if frame:
-            silent = _worth(
-                silent,
-                np.concatenate([c.y for c in calibration]),
-                np.concatenate([silent.evaluate(c.x)[0] for c in calibration]),
-            )
+            share = _share([c.y for c in calibration], [silent.evaluate(c.x)[0] for c in calibration])
+            silent = _worth(silent, share, share)
         read = [silent.read(c.x) for c in calibration]
         off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
         if frame:
@@ -133,13 +130,19 @@ def build(
         else:
             head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
     else:
-        y, guess = _crossed(recipe, fitted)
+        y, guess, constant = _crossed(recipe, fitted)
         if frame:
-            silent = _worth(silent, y, guess)
-            head = _scaled(_share(y, guess) * guess - y, width, 1.0)
+            # A constant error, as of a drop that the observer does not know, is borne out by fewer cycles than a shape is.
+            steady = _steady_share(np.concatenate(y), np.concatenate(constant))
+            rest = [a - steady * c for a, c in zip(y, constant, strict=True)]
+            shape = [g - c for g, c in zip(guess, constant, strict=True)]
+            share = _share(rest, shape)
+            silent = _worth(silent, share, steady)
+            head = _scaled(share * np.concatenate(shape) - np.concatenate(rest), width, 1.0)
         else:
             head = np.zeros((len(recipe.outputs), width))
-            head[:, 0] = np.log(((guess - y) ** 2).mean(0) + 1e-10 * trained.targets.deviation.numpy() ** 2)
+            off_targets = np.concatenate(guess) - np.concatenate(y)
+            head[:, 0] = np.log((off_targets**2).mean(0) + 1e-10 * trained.targets.deviation.numpy() ** 2)
         head[:, 0] -= 2 * np.log(trained.targets.deviation.numpy())
     sensor = replace(silent, noise=_single(torch.from_numpy(head)), frame=frame)
     return Built(sensor, trained, _card(recipe, sensor, trained, training, unseen))
@@ -230,43 +233,68 @@ def _scaled(errors: Array, width: int, least: float) -> Array:
     return head
 
 
-def _worth(sensor: Sensor, y: Array, guess: Array) -> Sensor:
-    """The sensor with each output's correction reduced to the share that is borne out on cycles not trained on.
+def _worth(sensor: Sensor, share: Array, steady: Array) -> Sensor:
+    """The sensor with its correction of an observer reduced to what is borne out on cycles not trained on.
 
     Where the observer is as good as can be, or the cycles are few, a network finds nothing but their accidents.
 
     Args:
         sensor: whose network corrects an observer.
-        y: `[N, K]` what the observer gets wrong, in its deviations, on cycles not trained on.
-        guess: `[N, K]` what the network says of it.
+        share: `[K]` what is kept of each output's correction.
+        steady: `[K]` what is kept of its constant part.
     """
-    share = torch.from_numpy(_share(y, guess))
-    network = replace(sensor.network, output=_single(sensor.network.output * share[:, None]))
-    return replace(sensor, network=network, targets=replace(sensor.targets, mean=sensor.targets.mean * share))
+    network = replace(
+        sensor.network, output=_single(sensor.network.output * torch.from_numpy(share)[:, None])
+    )
+    targets = replace(sensor.targets, mean=sensor.targets.mean * torch.from_numpy(steady))
+    return replace(sensor, network=network, targets=targets)
 
 
-def _share(y: Array, guess: Array) -> Array:
-    """`[K]` share of a guess that least squares would take, between 0 and 1; an error of many deviations counts as one.
+def _share(y: Sequence[Array], guess: Sequence[Array]) -> Array:
+    """`[K]` share of a guess that is borne out, between 0 and 1: that of least squares, a, shrunk to a (1 - (sd / a)^2).
 
-    Stacked regression: Wolpert (1992), doi:10.1016/S0893-6080(05)80023-1.
+    An error of many deviations counts as one. The standard error sd is the jackknife's over cycles: a start shows the
+    temperature well or badly, and what follows it in its cycle is wrong alike. Stacked regression: Wolpert (1992),
+    doi:10.1016/S0893-6080(05)80023-1; shrinkage: James and Stein (1961).
+
+    Args:
+        y: `[N, K]` of each cycle: what the observer gets wrong, in its deviations, on cycles not trained on.
+        guess: `[N, K]` of each: what the network says of it.
     """
-    weight = 1 / (1 + y**2)
-    return np.asarray(np.clip((weight * y * guess).sum(0) / ((weight * guess**2).sum(0) + 1e-12), 0.0, 1.0))
+    weights = [1 / (1 + a**2) for a in y]
+    products = np.stack([(w * a * g).sum(0) for w, a, g in zip(weights, y, guess, strict=True)])
+    squares = np.stack([(w * g**2).sum(0) for w, g in zip(weights, guess, strict=True)])
+    share = products.sum(0) / (squares.sum(0) + 1e-12)
+    if len(y) > 1:
+        without = (products.sum(0) - products) / (squares.sum(0) - squares + 1e-12)
+        share = share - (len(y) - 1) * without.var(0) / np.maximum(share, 1e-12)
+    return np.asarray(np.clip(share, 0.0, 1.0))
 
 
-def _crossed(recipe: Recipe, training: Sequence[Cycle]) -> tuple[Array, Array]:
-    """Targets and estimates `[N, K]` on each cycle (or half of the only one) by a network trained on the others."""
+def _steady_share(y: Array, constant: Array) -> Array:
+    """`[K]` share of a constant, 0 to 1, that leaves least of y; an error of many deviations counts by its logarithm."""
+    shares = np.linspace(0.0, 1.0, 21)
+    left = np.stack([np.log1p((y - share * constant) ** 2).mean(0) for share in shares])
+    return np.asarray(shares[left.argmin(0)])
+
+
+def _crossed(recipe: Recipe, training: Sequence[Cycle]) -> tuple[list[Array], list[Array], list[Array]]:
+    """Of each cycle (or half of the only one): targets, estimates by a network trained on the others, their constant part.
+
+    `[N, K]` each.
+    """
     folds = list(training)
     if len(folds) == 1:
         only, half = folds[0], len(folds[0].x) // 2
         folds = [_rows(only, slice(None, half)), _rows(only, slice(half, None))]
-    targets, estimates = [], []
+    targets, estimates, constants = [], [], []
     for left_out in range(min(len(folds), 4)):
         others = [c for j, c in enumerate(folds) if j != left_out]
         trained = train(arrays(others), recipe.architecture, recipe.seed, recipe.settings)
         targets.append(folds[left_out].y)
         estimates.append(trained.predict(torch.from_numpy(folds[left_out].x)).numpy())
-    return np.concatenate(targets), np.concatenate(estimates)
+        constants.append(np.broadcast_to(trained.targets.mean.numpy(), estimates[-1].shape))
+    return targets, estimates, constants
 
 
 def _rows(cycle: Cycle, which: slice) -> Cycle:
