@@ -26,9 +26,12 @@ _MOVE_SHARE = 0.01
 _NEVER = np.iinfo(np.int64).max
 # Up to so many samples, plain numbers are faster than arrays.
 _FEW = 64
-_WARM_UP, _BRIDGED, _OUTSIDE, _JUMP, _STUCK = map(
-    int, (Quality.WARM_UP, Quality.BRIDGED, Quality.OUTSIDE_ENVELOPE, Quality.JUMP, Quality.STUCK)
-)
+_WARM_UP, _BRIDGED, _OUTSIDE, _JUMP, _STUCK, _COLD = map(
+    int,
+    (
+        Quality.WARM_UP, Quality.BRIDGED, Quality.OUTSIDE_ENVELOPE, Quality.JUMP, Quality.STUCK, Quality.ASSUMED_COLD,
+    ),
+)  # fmt: skip
 # A current above this share of its range is no rest.
 _FLOWING_SHARE = 0.05
 
@@ -62,6 +65,7 @@ class GateState:
     current_since: int = 0  # index of the sample since which the current repeats itself
     first_move: int = _NEVER  # index at which the voltage first moved since then
     dead_since: int = 0  # index since which the voltage is not exactly 0 V under current
+    remembered: bool = False  # whether the heat of an earlier run was there at the start
 
 
 @record(frozen=True)
@@ -85,6 +89,7 @@ class Gate:
             0.99e9 / specification.maximum_rate_Hz,
         )
         self._warm_up_ns = round(specification.warm_up_s * 1e9)
+        self._cold_ns = specification.cold_ns
         self._longest_ns = 3 * self._period_ns // 2  # a longer step is a gap
         self._range = *envelope.voltage_V, *envelope.current_A
         current_span_A = envelope.current_A[1] - envelope.current_A[0]
@@ -159,6 +164,7 @@ class Gate:
         slew_A_ns, move_V, flowing_A = self._slew_A_ns, self._move_V, self._flowing_A
         least_V, most_V, least_A, most_A = self._range
         fastest_ns, slowest_ns, warm_ns = self._fastest_ns, self._slowest_ns, first_ns + self._warm_up_ns
+        cold_ns = first_ns + (0 if state.remembered else self._cold_ns)
         voltage_V, current_A, since, first_move, dead_since = (
             state.voltage_V, state.current_A, state.current_since, state.first_move, state.dead_since,
         )  # fmt: skip
@@ -175,6 +181,8 @@ class Gate:
             ):
                 return None
             word = _WARM_UP if time_ns < warm_ns else 0
+            if time_ns < cold_ns:
+                word |= _COLD
             if time_ns < state.bridged_until_ns:
                 word |= _BRIDGED
             if not (
@@ -199,7 +207,7 @@ class Gate:
         ambient = samples.ambient_C
         new = GateState(
             first_ns, last_ns, voltage_V, current_A, 0.0 if ambient is None else float(ambient[-1]), state.bridged_until_ns,
-            count, since, first_move, dead_since,
+            count, since, first_move, dead_since, state.remembered,
         )  # fmt: skip
         if samples.flags is None or any(words):
             quality = np.array(words, dtype=np.uint32)
@@ -233,10 +241,12 @@ class Gate:
         self, state: GateState, time_ns: NDArray[np.int64], dt_ns: NDArray[np.int64], used: NDArray[np.bool_],
         first_ns: int | None, quality: NDArray[np.uint32],
     ) -> None:  # fmt: skip
+        cold_ns = 0 if state.remembered else self._cold_ns
         if first_ns is None:
-            mark(quality, slice(None), Quality.WARM_UP)
+            mark(quality, slice(None), Quality.WARM_UP | Quality.ASSUMED_COLD if cold_ns else Quality.WARM_UP)
             return
         mark(quality, time_ns - first_ns < self._warm_up_ns, Quality.WARM_UP)
+        mark(quality, time_ns - first_ns < cold_ns, Quality.ASSUMED_COLD)
         mark(
             quality,
             used & ((dt_ns > self._slowest_ns) | (dt_ns < self._fastest_ns)),

@@ -25,6 +25,7 @@ class Quality(IntFlag):
     BACKEND_MISMATCH = 512  # two implementations of the network disagree
     STUCK = 1024  # a channel repeats itself while the other one moves
     JUMP = 2048  # the current changed faster than the inductance allows
+    ASSUMED_COLD = 4096  # the motor is taken to have started at ambient temperature, and nothing has shown it
 
 
 class OpcUa(IntEnum):
@@ -48,7 +49,7 @@ _CODES = (
     (Quality.OUTSIDE_ENVELOPE, OpcUa.UNCERTAIN_UNITS_EXCEEDED),
     (Quality.SATURATED | Quality.JUMP, OpcUa.UNCERTAIN_NOT_ACCURATE),
     (Quality.BRIDGED | Quality.OVERLOAD, OpcUa.UNCERTAIN_SUBSTITUTE),
-    (Quality.WARM_UP | Quality.RESTORED, OpcUa.UNCERTAIN_INITIAL),
+    (Quality.WARM_UP | Quality.RESTORED | Quality.ASSUMED_COLD, OpcUa.UNCERTAIN_INITIAL),
     (Quality.SIMULATED, OpcUa.UNCERTAIN_SIMULATED),
 )
 

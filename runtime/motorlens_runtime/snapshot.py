@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.bank import FilterBank
 from motorlens_runtime.estimator import EstimatorState
-from motorlens_runtime.gate import Samples
+from motorlens_runtime.gate import GateState, Samples
 from motorlens_runtime.quality import Quality
 from motorlens_runtime.sensor import Sensor
 
@@ -135,7 +135,8 @@ def restore(snapshot: Snapshot, sensor: Sensor, device: str, wall_time_ns: int) 
     memory = snapshot.observer
     if observer is not None and off_s > 0:
         memory = observer.rest(memory, off_s, snapshot.ambient_C)
-    return Restored(EstimatorState(bank.start(values), observer=memory), off_s, message)
+    state = EstimatorState(bank.start(values), GateState(remembered=True), observer=memory)
+    return Restored(state, off_s, message)
 
 
 def aged(bank: FilterBank, values: Array, off_s: float, ambient_C: float | None) -> Array:

@@ -89,6 +89,17 @@ class Specification:
     observer: Observer | None = None
 
     @property
+    def cold_ns(self) -> int:
+        """How long an estimate of heat rests on the start being at ambient temperature: a twentieth of it is left after.
+
+        Three times the slowest filter's time constant; 0 with an observer, which reads the temperature off the inrush, and
+        where speed alone is estimated.
+        """
+        heat = any(output.name != "speed" for output in self.outputs)
+        slowest = max((f.tau_s for f in self.filters), default=0.0)
+        return round(3e9 * slowest) if heat and self.observer is None else 0
+
+    @property
     def first_dt_ns(self) -> int:
         """The step of the very first sample."""
         return round(1e9 / self.rate_Hz)

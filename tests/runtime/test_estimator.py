@@ -1,6 +1,7 @@
 """What reaches the state and what the quality word says of it; bits that do not depend on how samples arrive."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimator import Estimates, Estimator
-from motorlens_runtime.gate import Samples
+from motorlens_runtime.estimator import Estimates, Estimator, EstimatorState
+from motorlens_runtime.gate import GateState, Samples
 from motorlens_runtime.quality import OpcUa, Quality, names, opc_ua, sparkplug
 from motorlens_runtime.sensor import load_sensor
+
+SHIPPED = Path(__file__).resolve().parents[2] / "models/sensors"
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +112,27 @@ def test_gap_is_flagged_for_its_length_and_warm_up_for_its_time(sensor):
     assert warm[:50].all() and not warm[50:].any()  # 0.05 s in the helper's specification
     bridged = np.flatnonzero(result.quality & Quality.BRIDGED)
     assert bridged.tolist() == list(range(500, 521))  # 21 ms long at 1 kHz
+
+
+def test_a_start_taken_for_cold_is_said_until_it_is_forgotten(sensor):
+    slowest = max(f.tau_s for f in sensor.specification.filters)
+    early = stream(500)
+    jump = int(3e9 * slowest) - 300_000_000
+    samples = replace(early, time_ns=early.time_ns + np.where(np.arange(500) < 100, 0, jump))
+    for edges in ([], range(500)):
+        _, result = run(sensor, samples, edges)
+        cold = (result.quality & Quality.ASSUMED_COLD) > 0
+        assert cold[:300].all() and not cold[300:].any()
+    remembered = Estimator(sensor, 1e-3, EstimatorState(sensor.bank.start(), GateState(remembered=True)))
+    assert not (remembered.push(early).quality & Quality.ASSUMED_COLD).any()
+
+
+def test_speed_alone_or_an_observer_assumes_no_cold_start(sensor):
+    specification = sensor.specification
+    speed = replace(specification, outputs=specification.outputs[:1])
+    assert specification.outputs[0].name == "speed" and specification.cold_ns > 0 and speed.cold_ns == 0
+    assert load_sensor(SHIPPED / "mellah2016_observer.onnx").specification.cold_ns == 0
+    assert load_sensor(SHIPPED / "mellah2016.onnx").specification.cold_ns == round(3e9 * 4157.0)
 
 
 def test_a_gap_longer_than_the_slowest_rate_and_values_outside_are_outside_the_envelope(sensor):

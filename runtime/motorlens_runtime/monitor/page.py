@@ -32,7 +32,9 @@ WORDS = {
     Quality.BACKEND_MISMATCH: "two implementations of the network disagree",
     Quality.STUCK: "a channel repeats itself",
     Quality.JUMP: "the current jumped faster than the inductance allows",
+    Quality.ASSUMED_COLD: "the motor is taken to have started cold: no heat was remembered",
 }
+_THROUGHOUT = np.uint32(Quality.SIMULATED | Quality.ASSUMED_COLD)
 # What the page is made of: path, package and name of the file, its type.
 FILES = {
     "/": ("motorlens_runtime.monitor", "page.html", "text/html; charset=utf-8"),
@@ -162,9 +164,9 @@ class MonitorPage:
 
 
 def _doubt(words: NDArray[np.uint32]) -> list[int]:
-    """0 good, 1 uncertain, 2 bad, a row each; that a drive is simulated is no reason to doubt here."""
+    """0 good, 1 uncertain, 2 bad, a row each; what holds for the whole run is said in words and hides nothing here."""
     severe = {"GOOD": 0, "UNCERTAIN": 1, "BAD": 2}
-    there, at = np.unique(words & ~np.uint32(Quality.SIMULATED), return_inverse=True)
+    there, at = np.unique(words & ~_THROUGHOUT, return_inverse=True)
     codes = np.array([severe[opc_ua(int(word)).name.partition("_")[0]] for word in there.tolist()], dtype=int)
     found: list[int] = codes[at].tolist()
     return found
