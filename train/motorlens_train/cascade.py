@@ -77,6 +77,10 @@ class Architecture:
         """Columns that the output layer reads, `[Z]` int64."""
         return torch.tensor(self.reads(self.layers))
 
+    def read_by_output(self, z: Tensor) -> Tensor:
+        """Rows of the buffer z that the output layer reads, `[Z, N]`; z itself where it reads them all."""
+        return z if len(self.output_reads) == len(z) else z[self.output_reads]
+
     @property
     def output_parameters(self) -> int:
         """Number of weights and biases of the output layer, all outputs."""
@@ -138,7 +142,7 @@ class Network:
     def __call__(self, x: Tensor) -> Tensor:
         """Outputs `[N, K]` for inputs `[N, F]`, in the type of x."""
         z = forward(self.architecture, dense(self.architecture, self.hidden.to(x.dtype)), x.T)
-        return (self.output.to(x.dtype) @ z[self.architecture.output_reads]).T
+        return (self.output.to(x.dtype) @ self.architecture.read_by_output(z)).T
 
     def parameters(self) -> Tensor:
         """All weights as one vector `[P]`: hidden layers, then the output layer row by row."""
@@ -212,7 +216,7 @@ def jacobian(network: Network, x: Tensor) -> Tensor:
     result = x.new_zeros(rows, outputs, architecture.parameters)
     hidden = architecture.hidden_parameters
     result[:, :, :hidden] = (delta[:, architecture.unit] * z[architecture.column]).permute(2, 0, 1)
-    read = z[architecture.output_reads].T
+    read = architecture.read_by_output(z).T
     for k in range(outputs):
         first = hidden + k * read.shape[1]
         result[:, k, first : first + read.shape[1]] = read

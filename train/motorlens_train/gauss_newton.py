@@ -15,10 +15,12 @@ Three facts keep them cheap:
 Throughout, blocks are feature-major: inputs `[F, n]`, targets `[K, n]`.
 """
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -81,7 +83,7 @@ def output_moments(architecture: Architecture, hidden: Tensor, blocks: Iterable[
     total = torch.zeros(size + outputs, size + outputs, dtype=torch.float64)
     for x, y in blocks:
         z = forward(architecture, dense(architecture, hidden.to(x.dtype)), x)
-        stacked = torch.cat([z[architecture.output_reads], y]).double()
+        stacked = torch.cat([architecture.read_by_output(z), y]).double()
         total += stacked @ stacked.T
         rows += x.shape[1]
     return OutputMoments(total[:size, :size], total[:size, size:], total.diagonal()[size:].clone(), rows)
@@ -100,24 +102,31 @@ def curvature(
         blocks: the data.
     """
     units, pairs = sum(architecture.hidden), _pairs(architecture.columns)
-    unit_table = torch.zeros(_pairs(units), pairs, dtype=torch.float64)
-    cross_table = torch.zeros(architecture.outputs, units, pairs, dtype=torch.float64)
-    slope = torch.zeros(units, architecture.columns, dtype=torch.float64)
+    firsts = [0, *itertools.accumulate(architecture.hidden)]
+    rows = [slice(_pairs(first), _pairs(last)) for first, last in itertools.pairwise(firsts)]
+    reads = [_pairs(architecture.start(layer)) for layer in range(architecture.layers)]
+    hidden_tables = [_Sum(row.stop - row.start, read) for row, read in zip(rows, reads, strict=True)]
+    cross_table, slope = _Sum(architecture.outputs * units, pairs), _Sum(units, architecture.columns)
     for x, y in blocks:
         weights = dense(architecture, hidden.to(x.dtype))
         z = forward(architecture, weights, x)
         v = output.to(x.dtype)
         delta = deltas(architecture, weights, v, z)
         weighted = delta * precision.to(x.dtype)[:, None, None]
-        error = v @ z[architecture.output_reads] - y
-        slope += (weighted * error[:, None]).sum(0) @ z.T
+        error = v @ architecture.read_by_output(z) - y
+        slope.add(_over_outputs(weighted, error) @ z.T)
         columns = _nested_products(z[None], z[None])
-        _add_unit_pairs(architecture, _nested_products(weighted, delta), columns, unit_table)
-        cross_table += (weighted.flatten(0, 1) @ columns.T).view_as(cross_table)
+        products = _nested_products(weighted, delta)
+        for table, row, read in zip(hidden_tables, rows, reads, strict=True):
+            table.add(products[row] @ columns[:read].T)
+        cross_table.add(weighted.flatten(0, 1) @ columns.T)
+    size = architecture.hidden_parameters
+    tables = torch.cat([slope.total[:0, 0], *(table.total.view(-1) for table in hidden_tables)])
+    crossed = cross_table.total.view(architecture.outputs, -1).index_select(1, _cross_places(architecture))
     return Curvature(
-        _gather_hidden(architecture, unit_table),
-        _gather_cross(architecture, cross_table),
-        slope[architecture.unit, architecture.column],
+        tables.index_select(0, _hidden_places(architecture)).view(size, size),
+        crossed.view(architecture.outputs, size, len(architecture.output_reads)),
+        slope.total[architecture.unit, architecture.column],
     )
 
 
@@ -130,8 +139,8 @@ def gradient(
         weights = dense(architecture, hidden.to(x.dtype))
         z = forward(architecture, weights, x)
         v = output.to(x.dtype)
-        error = precision.to(x.dtype)[:, None] * (v @ z[architecture.output_reads] - y)
-        slope += (deltas(architecture, weights, v, z) * error[:, None]).sum(0) @ z.T
+        error = precision.to(x.dtype)[:, None] * (v @ architecture.read_by_output(z) - y)
+        slope += _over_outputs(deltas(architecture, weights, v, z), error) @ z.T
     return slope[architecture.unit, architecture.column]
 
 
@@ -158,7 +167,6 @@ def acceleration(
     Returns:
         Its part by the hidden weights `[P_h]` and by the output weights `[K, Z]`.
     """
-    reads = architecture.output_reads
     by_hidden = torch.zeros(sum(architecture.hidden), architecture.columns, dtype=torch.float64)
     by_output = torch.zeros_like(output)
     for x, _ in blocks:
@@ -174,9 +182,10 @@ def acceleration(
             net_second = 2 * (turn @ first[read]) + weight @ second[read]
             first[written] = slope * net_first
             second[written] = architecture.function.curvature(z[written]) * net_first**2 + slope * net_second
-        bend = precision.to(x.dtype)[:, None] * (2 * (dv @ first[reads]) + v @ second[reads])
-        by_output += bend @ z[reads].T
-        by_hidden += (deltas(architecture, weights, v, z) * bend[:, None]).sum(0) @ z.T
+        bend = 2 * (dv @ architecture.read_by_output(first)) + v @ architecture.read_by_output(second)
+        bend *= precision.to(x.dtype)[:, None]
+        by_output += bend @ architecture.read_by_output(z).T
+        by_hidden += _over_outputs(deltas(architecture, weights, v, z), bend) @ z.T
     return by_hidden[architecture.unit, architecture.column], by_output
 
 
@@ -198,10 +207,27 @@ def _pairs(count: int) -> int:
     return count * (count + 1) // 2
 
 
-def _pair_index(first: Tensor, second: Tensor) -> Tensor:
-    """Place of an unordered pair in the nested order."""
-    high, low = torch.maximum(first, second), torch.minimum(first, second)
-    return high * (high + 1) // 2 + low
+class _Sum:
+    """A float64 sum of products in the type of the data; the first takes no pass over zeros."""
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self.shape = rows, columns
+        self.parts: Tensor | None = None
+
+    def add(self, part: Tensor) -> None:
+        self.parts = part.double() if self.parts is None else self.parts.add_(part)
+
+    @property
+    def total(self) -> Tensor:
+        return torch.zeros(self.shape, dtype=torch.float64) if self.parts is None else self.parts
+
+
+def _over_outputs(delta: Tensor, error: Tensor) -> Tensor:
+    """`sum_k delta[k, u] error[k]`: `[K, U, n]`, `[K, n]` -> `[U, n]`."""
+    result = delta[0] * error[0]
+    for k in range(1, len(error)):
+        result.addcmul_(delta[k], error[k])
+    return result
 
 
 def _nested_products(left: Tensor, right: Tensor) -> Tensor:
@@ -216,32 +242,31 @@ def _nested_products(left: Tensor, right: Tensor) -> Tensor:
     return result
 
 
-def _add_unit_pairs(architecture: Architecture, units: Tensor, columns: Tensor, table: Tensor) -> None:
-    first = 0
-    for layer, width in enumerate(architecture.hidden):
-        rows, read = slice(_pairs(first), _pairs(first + width)), slice(_pairs(architecture.start(layer)))
-        table[rows, read] += units[rows] @ columns[read].T
-        first += width
-
-
-def _gather_hidden(architecture: Architecture, table: Tensor) -> Tensor:
-    size = architecture.hidden_parameters
-    return table.view(-1).index_select(0, _hidden_places(architecture)).view(size, size)
-
-
-def _gather_cross(architecture: Architecture, table: Tensor) -> Tensor:
-    rows = table.flatten(1).index_select(1, _cross_places(architecture))
-    return rows.view(architecture.outputs, architecture.hidden_parameters, len(architecture.output_reads))
-
-
 @lru_cache(maxsize=8)
 def _hidden_places(architecture: Architecture) -> Tensor:
-    unit, column = architecture.unit, architecture.column
-    columns = _pairs(architecture.columns)
-    return (_pair_index(unit[:, None], unit) * columns + _pair_index(column[:, None], column)).view(-1)
+    """Where the entries of the hidden weights' matrix stand in the layers' tables, one after the other."""
+    firsts = [0, *itertools.accumulate(architecture.hidden)]
+    units = np.zeros((firsts[-1], firsts[-1]), np.int64)
+    before = 0
+    for layer, (first, last) in enumerate(itertools.pairwise(firsts)):
+        # A pair of units stands in the table of the later one.
+        reads, pairs = _pairs(architecture.start(layer)), _pair_places(last)[first:]
+        units[first:last, :last] = before + (pairs - _pairs(first)) * reads
+        units[:last, first:last] = units[first:last, :last].T
+        before += (_pairs(last) - _pairs(first)) * reads
+    unit, column = architecture.unit.numpy(), architecture.column.numpy()
+    columns = _pair_places(architecture.columns)
+    return torch.from_numpy(units[np.ix_(unit, unit)] + columns[np.ix_(column, column)]).view(-1)
 
 
 @lru_cache(maxsize=8)
 def _cross_places(architecture: Architecture) -> Tensor:
-    unit, column = architecture.unit[:, None], architecture.column[:, None]
-    return (unit * _pairs(architecture.columns) + _pair_index(column, architecture.output_reads)).view(-1)
+    unit, column = architecture.unit.numpy(), architecture.column.numpy()
+    columns = _pair_places(architecture.columns)[np.ix_(column, architecture.output_reads.numpy())]
+    return torch.from_numpy(unit[:, None] * _pairs(architecture.columns) + columns).view(-1)
+
+
+def _pair_places(count: int) -> np.ndarray:
+    """Place of every unordered pair in the nested order, `[count, count]`."""
+    high, low = (pick.outer(np.arange(count), np.arange(count)) for pick in (np.maximum, np.minimum))
+    return high * (high + 1) // 2 + low

@@ -27,7 +27,7 @@ from motorlens_train.gauss_newton import (
 )
 
 # Damping values tried from one curvature until one leads downhill, as multiples of the last one that worked.
-TRIALS = (0.3, 10.0, 300.0, 1e4, 1e6)
+TRIALS = (0.1, 10.0, 300.0, 1e4, 1e6)
 DAMPING_RANGE = (1e-10, 1e8)
 # The geodesic correction may be at most this share of the step it corrects.
 BEND = 0.4
@@ -192,7 +192,6 @@ class Reduced:
 
         By the block inverse: `(H^-1)_hh = S^-1` and `(H^-1)_oo = (H_oo)^-1 + F S^-1 F^T` with F the followers.
         """
-        size = len(self.matrix)
         factor: Tensor
         factor, failed = torch.linalg.cholesky_ex(self.matrix)
         if bool(failed):
@@ -200,10 +199,10 @@ class Reduced:
             values, basis = torch.linalg.eigh(self.matrix)
             least = torch.maximum(hyper.alpha[:-1].min(), 1e-10 * values[-1])
             factor = cholesky((basis * torch.maximum(values, least)) @ basis.T)
-        sides = torch.cat([torch.eye(size, dtype=factor.dtype), self.followers.flatten(0, 1).T], dim=1)
-        spread = torch.linalg.solve_triangular(factor, sides, upper=False).square().sum(0)
+        inverse, followers = torch.cholesky_inverse(factor), self.followers.flatten(0, 1)
+        spread = ((followers @ inverse) * followers).sum(1)
         identity = torch.eye(self.inner.shape[1], dtype=factor.dtype).expand_as(self.inner)
         own = torch.linalg.solve_triangular(self.inner, identity, upper=False).square().sum(1)
-        variance = torch.cat([spread[:size], own.reshape(-1) + spread[size:]])
+        variance = torch.cat([inverse.diagonal(), own.reshape(-1) + spread])
         log_det = 2 * (factor.diagonal().log().sum() + self.inner.diagonal(dim1=1, dim2=2).log().sum())
         return well_determined(network.architecture, variance, hyper), float(log_det)

@@ -59,4 +59,4 @@ class Sensor:
         architecture = self.network.architecture
         scaled = self.inputs.scale(torch.from_numpy(np.ascontiguousarray(features, dtype=np.float64)))
         z = forward(architecture, dense(architecture, self.network.hidden), scaled.T)
-        return z[architecture.output_reads].T
+        return architecture.read_by_output(z).T

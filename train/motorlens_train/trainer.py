@@ -41,7 +41,11 @@ from motorlens_train.state import Record, State, load_checkpoint, save_checkpoin
 # Rows per product: large enough for the processor's matrix units, small enough for its cache.
 CHUNK = 2048
 # Iterations before the evidence may move alpha and beta: at the start neither weights nor errors mean anything.
-FREE = 2
+FREE = 1
+# Damping of the first step.
+DAMPING = 0.3
+# A sample is left when a step lowers the objective by less than this share of the well-determined parameters' number.
+LEAVE = 0.3
 # Points at which the autocorrelation time is taken.
 POINTS = 48
 
@@ -176,9 +180,9 @@ class _Run:
 
     def start(self) -> State:
         hidden = initial(self.architecture, np.random.default_rng([self.seed, 1]))
-        hyper = Hyperparameters.start(self.architecture, self.settings.tau)
+        hyper = Hyperparameters.start(self.architecture, hidden, self.settings.tau)
         gamma = torch.zeros(self.architecture.layers + 1, dtype=torch.float64)
-        return State(hidden, hyper, gamma, 1.0, 0, 0, 0, hidden, hyper, float("inf"), 0, ())
+        return State(hidden, hyper, gamma, DAMPING, 0, 0, 0, hidden, hyper, float("inf"), 0, ())
 
     def iterate(self, state: State, here: _Place | None) -> tuple[State, _Place | None, str]:
         """One iteration; returns the reason to stop, or an empty string. A place is None where a stage begins."""
@@ -241,7 +245,7 @@ class _Run:
         fall = before.objective - after.objective
         if self._last(batch):
             return fall < self.settings.tolerance * abs(before.objective)
-        return fall < 0.1 * max(float(gamma.sum()), 1.0)
+        return fall < LEAVE * max(float(gamma.sum()), 1.0)
 
     def _last(self, batch: Batch) -> bool:
         return batch.rows == self.source.rows
