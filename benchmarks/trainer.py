@@ -239,13 +239,15 @@ def main() -> None:
     parser.add_argument(
         "--starts", type=int, default=3, help="starts at 10^4 and 10^5; one beyond (default: 3)"
     )
+    parser.add_argument("--peers", nargs="*", choices=tuple(PEERS), help="only these peers (default: all)")
     parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.child:
         peer, folder, correlation, start = arguments.child
         child(peer, folder, float(correlation), int(start))
         return
-    sizes, peers, budget = [int(size) for size in arguments.sizes], tuple(PEERS), arguments.budget
+    sizes, budget = [int(size) for size in arguments.sizes], arguments.budget
+    peers = tuple(PEERS) if arguments.peers is None else tuple(arguments.peers)
     correlations, starts = arguments.correlation, arguments.starts
     if arguments.quick:
         sizes, peers, budget, starts = [10_000], RIVALS, 5.0, 1
