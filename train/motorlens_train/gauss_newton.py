@@ -268,5 +268,6 @@ def _cross_places(architecture: Architecture) -> Tensor:
 
 def _pair_places(count: int) -> np.ndarray:
     """Place of every unordered pair in the nested order, `[count, count]`."""
-    high, low = (pick.outer(np.arange(count), np.arange(count)) for pick in (np.maximum, np.minimum))
-    return high * (high + 1) // 2 + low
+    place = np.arange(count)
+    high, low = np.maximum(place[:, None], place), np.minimum(place[:, None], place)
+    return np.asarray(high * (high + 1) // 2 + low)
