@@ -120,7 +120,9 @@ def hold(
     """Shorten a step of a resting rotor so that it ends where the rotor breaks away; the new length."""
     before, after = 0.0, h
     last = 0
-    while after - before > LOCATED * after:
+    for _ in range(200):
+        if after - before <= LOCATED * after:
+            break
         h = (before * ends - after * excess) / (ends - excess)
         # Keep off the ends, so that the bracket shrinks from both sides.
         h = min(max(h, before + 0.1 * LOCATED * after), after - 0.1 * LOCATED * after)
@@ -144,12 +146,12 @@ def integrate(
     p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float, out: Vector,
     S: Vector, work: Any, kept: Vector, matrices: Vector,
 ) -> int:  # fmt: skip
-    """Fill out[1:] from the state x at time[0]; return -1, or the sample after which no step was small enough.
+    """Fill out[1:] from the state x at time[0]; return -1, or the sample where no step was small enough or none is left.
 
     `step`, `rest`, `torque` and `linear` are functions of `compile.source`, `propagate` is that of `compile_variational`.
     `inputs` is (N, 3). Sensitivities S are carried along if there is a workspace (see `sensitivity`), and kept, with the
-    matrices of each sample, where there is room. `carry` keeps the length of the next step between calls, and counts
-    accepted and rejected steps.
+    matrices of each sample, where there is room. `carry` keeps the length of the next step between calls, counts accepted
+    and rejected steps, and holds how many may yet be tried.
     """
     y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(6)
     trial, sensitive = carry[0], work[7].size > 0
@@ -168,6 +170,9 @@ def integrate(
             begin(work[6])
         past, released = 0.0, 0.0
         while past < span:
+            carry[3] -= 1.0
+            if carry[3] < 0.0:
+                return k
             t = time[k] + past
             for j in range(3):
                 u[j] = inputs[k, j] + u[3 + j] * past

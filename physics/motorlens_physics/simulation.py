@@ -27,6 +27,8 @@ from motorlens_runtime.errors import DataError, ModelError
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6
+# Steps that a simulation in its smooth form, the one for fitting, may take for each sample on average.
+STEPS_A_SAMPLE = 400
 _EMPTY = np.zeros((0, 0, 0))
 # Where sensitivities would go: S, what they are worked out in, S at each sample, matrices of each sample.
 _NOTHING = (
@@ -180,7 +182,7 @@ class Stepper:
         self._system, self._motor_code = structure(motor)
         self._x = initial_states(motor, self._system, initial)
         self._parameters = np.array(parameter_values(motor), dtype=np.float64)
-        self._carry = np.array([np.inf, 0.0, 0.0])
+        self._carry = np.array([np.inf, 0.0, 0.0, np.inf])
         self._time = np.zeros(2)
         self._inputs = np.zeros((2, 3))
         self._out = np.empty((2, self._x.size))
@@ -268,8 +270,10 @@ def run(
     stacked = np.column_stack([inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C])
     atol = tolerance * _scales(motor, system, stacked, x)
     out[0] = x
+    # A fit tries parameters with which the motor oscillates for ever; that is no model of a recording.
+    steps = STEPS_A_SAMPLE * len(out) + 10_000 if smooth else np.inf
     failed = code(
-        inputs.time_s, stacked, inputs.held, smooth, parameters, x.copy(), np.array([np.inf, 0.0, 0.0]), atol,
+        inputs.time_s, stacked, inputs.held, smooth, parameters, x.copy(), np.array([np.inf, 0.0, 0.0, steps]), atol,
         tolerance, out, *workspace,
     )  # fmt: skip
     if failed >= 0:

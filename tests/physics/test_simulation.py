@@ -240,3 +240,14 @@ def test_a_motor_that_blows_up_is_reported_where_it_does() -> None:
     # Friction that drives: the speed doubles every fraction of a millisecond.
     with pytest.raises(ModelError, match="cannot go on at t = "):
         simulate(replace(Motor(), b=-100.0), constant(10.0, 1001, 240.0), {"w": 1.0})
+
+
+def test_a_fit_does_not_wait_for_a_motor_that_never_settles() -> None:
+    """Teeth that pass by thousands between two samples: the smooth form, which is for fitting, gives up."""
+    toothed = Motor().with_effect(catalogue()["cogging_torque"].typical(PLATE))
+    rarely = constant(1000.0, 11, 240.0)
+    with pytest.raises(ModelError, match="cannot go on at t = "):
+        simulate(toothed, rarely, smooth=True)
+    assert np.isfinite(simulate(Motor(), rarely, smooth=True).speed_rad_s).all()
+    often = constant(1.0, 1001, 240.0)
+    assert np.isfinite(simulate(toothed, often, smooth=True).speed_rad_s).all()

@@ -67,6 +67,7 @@ def test_cogging_is_looked_for_where_the_angle_is_known():
     angle = {**fine.channels, "angle": np.cumsum(fine.channels["speed"]) / 1000}
     coarse = Recording("coarse", fine.time_s * 100, fine.channels)
     assert [run.turns for run in prepare_all([coarse, fine], file)] == [False, True]
+    assert [run.turns for run in prepare_all([coarse], file)] == [False]
     measured = replace(coarse, channels=angle)
     assert [run.turns for run in prepare_all([measured, fine], file)] == [True, False]
     cogging = catalogue()["cogging_torque"].typical(file.rated)

@@ -25,6 +25,8 @@ UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "
 ROWS = 30_000
 # Levels up to the largest value below which these are no converter's, but steps of a command.
 COARSEST = 32
+# From one sample to the next at rated speed, rad: further, the angle is anybody's guess.
+HALF_TURN = 3.14
 # Consecutive samples of exactly 0, at the start or the end, that are no chance.
 AT_REST = 5
 # The ambient temperature is averaged over this long.
@@ -207,12 +209,15 @@ def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, 
     """Make recordings of one motor ready, see `prepare`.
 
     Where the shaft stood at the start of a recording without an angle is not known, so what goes with the angle (cogging,
-    say) is looked for where the angle was measured, or in the most finely sampled recording alone.
+    say) is looked for where the angle was measured, or in the most finely sampled recording alone, if it is fine enough.
     """
     runs = tuple(prepare(recording, file) for recording in recordings)
-    finest = min(runs, key=lambda run: run.period_s)
     measured = any(run.angle is not None for run in runs)
-    return tuple(replace(run, turns=run.angle is not None if measured else run is finest) for run in runs)
+    finest = min(runs, key=lambda run: run.period_s)
+    fine = finest.period_s * file.rated.speed_rad_s < HALF_TURN
+    return tuple(
+        replace(run, turns=run.angle is not None if measured else run is finest and fine) for run in runs
+    )
 
 
 def largest_offset(y: Array) -> float | None:
