@@ -25,6 +25,8 @@ from motorlens_workbench.selection import (
 
 # Share of what has been explained so far that a further effect must explain.
 AMONG = 0.003
+# A rival whose loss (2 log likelihood over inflation) is below this cannot be told apart.
+TOLD_APART = 14.0
 # Squared correlation from which on a candidate is nearly a copy, and the share of the other's gain that mends its shape.
 NEAR, MENDS = 0.9, 0.1
 # How many times what stands out a candidate must explain to be looked at though it is uneven, and how many are.
@@ -58,7 +60,7 @@ class Step:
 
 
 def imperfections(steps: Sequence[Step], now: Look) -> list[str]:
-    """Candidates that only mend the shape of what was accepted: nearly a copy of it, and worth little beside it.
+    """Candidates that only mend the shape of what was accepted: as good in its place, and worth little beside it.
 
     A voltage drop that is rounded off more widely than the catalogue's is one effect, not the difference of two.
     """
@@ -66,7 +68,9 @@ def imperfections(steps: Sequence[Step], now: Look) -> list[str]:
         name
         for step in steps
         for name, alike in step.alike.items()
-        if alike > NEAR and name in now.tests and now.tests[name].gain < MENDS * step.gain
+        if (alike > NEAR or step.losses.get(name, float("inf")) < TOLD_APART)
+        and name in now.tests
+        and now.tests[name].gain < MENDS * step.gain
     ]
 
 

@@ -9,16 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motorlens_workbench.diagnosis import Finding
+from motorlens_workbench.diagnosis import MOST, Finding
 from motorlens_workbench.evidence import score
 from motorlens_workbench.leftover import Bend
 from motorlens_workbench.look import Look
 from motorlens_workbench.screen import held_out_rmse
 from motorlens_workbench.selection import WORTH, Test
-from motorlens_workbench.steps import Step
+from motorlens_workbench.steps import TOLD_APART, Step
 
-# A rival whose loss (2 log likelihood over inflation) is below this cannot be told apart.
-TOLD_APART = 14.0
 # Share of the accepted gain by which rivals may differ through what the model leaves out (noise on inputs, discretisation).
 IMPERFECT = 0.004
 # Two columns as alike as this are one.
@@ -26,6 +24,9 @@ SAME = 0.9995
 GROUP = 6
 # A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
 BETTER = 0.15
+# The same where as many effects as may be were named already and something is left, and what a single curve may explain
+# from the start, over all that was named.
+AFTER_ALL, INSTEAD = 0.05, 1.25
 
 
 @dataclass(frozen=True)
@@ -111,8 +112,11 @@ def group_of(step: Step) -> tuple[str, ...]:
 def structure(found: Finding) -> Bend | None:
     """The free curve that shows that something unnamed is left; None if what is left is noise."""
     gain = sum(step.gain for step in found.steps)
+    share = AFTER_ALL if len(found.steps) == MOST else BETTER
+    if len(found.steps) > 1 and found.left and found.whole and found.whole[0].gain > INSTEAD * gain:
+        return found.whole[0]
     for bend in found.left:
-        if bend.gain > max(WORTH * found.last.samples, BETTER * gain):
+        if bend.gain > max(WORTH * found.last.samples, share * gain):
             return bend
     return None
 
