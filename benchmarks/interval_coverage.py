@@ -100,10 +100,13 @@ def main() -> None:
     )
     parser.add_argument("--repetitions", type=int, default=24)
     parser.add_argument("--rows", type=int, default=20_000)
+    parser.add_argument(
+        "--times", type=float, nargs="+", default=[1, 10, 100, 1000], help="default %(default)s"
+    )
     parser.add_argument("--first-seed", type=int, default=100, help="default %(default)s")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    times = (1.0, 30.0) if arguments.quick else (1.0, 10.0, 100.0, 1000.0)
+    times = [1.0, 30.0] if arguments.quick else arguments.times
     repetitions, rows = (4, 4000) if arguments.quick else (arguments.repetitions, arguments.rows)
     print(f"{rows} samples, {repetitions} repetitions")
     print(

@@ -43,9 +43,11 @@ def _torch(model, report: Report) -> None:  # type: ignore[no-untyped-def]
 
 
 def torch_lbfgs(x: np.ndarray, y: np.ndarray, report: Report, start: int) -> None:
+    """With the setting that was found to be its fastest: inputs made uncorrelated, fifty pairs kept."""
     import torch
 
-    model, tx, ty = module(start), torch.from_numpy(x), torch.from_numpy(y)
+    whiten = np.linalg.inv(np.linalg.cholesky(np.cov(x.T))).T.astype(np.float32)
+    model, tx, ty = module(start), torch.from_numpy(x @ whiten), torch.from_numpy(y)
     optimiser = torch.optim.LBFGS(
         model.parameters(), max_iter=20, history_size=50, line_search_fn="strong_wolfe"
     )
@@ -60,7 +62,8 @@ def torch_lbfgs(x: np.ndarray, y: np.ndarray, report: Report, start: int) -> Non
 
     while True:
         optimiser.step(closure)
-        _torch(model, report)
+        with torch.no_grad():
+            report(lambda z: model(torch.from_numpy(z @ whiten)).numpy())
 
 
 def torch_adam(x: np.ndarray, y: np.ndarray, report: Report, start: int) -> None:
