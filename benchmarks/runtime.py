@@ -1,6 +1,6 @@
 """What the runtime costs: size, start, memory, the hot call, batches, the decoder, and a recorded file against its readers.
 
-    python benchmarks/runtime.py [--quick] [--sensor S.onnx] [--only size|start|network|decoder|file]
+    python benchmarks/runtime.py [--quick] [--sensor S.onnx] [--only size|start|network|decoder|line|file]
 
 Figures of this process are in processor time, the best of several runs; those of other processes in wall-clock time, which
 depends on what else the machine does: its load is printed with them.
@@ -21,12 +21,15 @@ from pathlib import Path
 import numpy as np
 
 from motorlens_runtime.backend import TILE
-from motorlens_runtime.estimator import Estimator
-from motorlens_runtime.framing import Decoder, samples_frame
+from motorlens_runtime.estimator import Estimates, Estimator
+from motorlens_runtime.framing import Channel, Decoder, Hello, hello_frames, samples_frame
 from motorlens_runtime.gate import Samples
+from motorlens_runtime.link import Link
 from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.service import Service, Settings
 
 ROOT = Path(__file__).resolve().parents[1]
+FRAMES = 4000
 # Libraries that read a CSV, and how one asks them.
 READERS = {
     "pandas": ("pandas", "pandas.read_csv(path)"),
@@ -63,7 +66,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="a file of 3e5 rows instead of 1e7")
     parser.add_argument("--sensor", default=str(ROOT / "models" / "sensors" / "mellah2016.onnx"))
     parser.add_argument(
-        "--only", choices=("size", "start", "network", "decoder", "file"), help="one part of it"
+        "--only", choices=("size", "start", "network", "decoder", "line", "file"), help="one part of it"
     )
     arguments = parser.parse_args()
     print(f"load of the machine {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
@@ -72,6 +75,7 @@ def main() -> int:
         "start": lambda: start_up(arguments.sensor),
         "network": lambda: evaluations(arguments.sensor),
         "decoder": decoder,
+        "line": lambda: live_line(arguments.sensor),
         "file": lambda: recorded(arguments.sensor, 300_000 if arguments.quick else 10_000_000),
     }
     for part in [arguments.only] if arguments.only else parts:
@@ -221,6 +225,71 @@ def decoder() -> None:
 
         print(
             f"decoder, {together} frames of 10 samples at a time: {0.02 / best(feed, 3):.2f} million frames/s"
+        )
+
+
+class Frames:
+    """A feed of frames that are there already, one at a read; with `cold`, what the processor remembers is gone by then.
+
+    `taken_ns` is the processor time of each, from the bytes to when the estimate was handed out.
+    """
+
+    def __init__(self, rate_Hz: int, n: int, cold: bool) -> None:
+        channels = tuple(
+            Channel(name, unit, scale=0.1) for name, unit in (("voltage", "V"), ("current", "A"))
+        )
+        codes = np.random.default_rng(0).normal((1000, 80), 2, (FRAMES, n, 2)).round().astype(np.int16)
+        frames = hello_frames(Hello("bench", 1, (rate_Hz, 1), channels), sequence=0, t0_us=0)
+        frames += [
+            samples_frame(rows, schema=1, sequence=len(frames) + k, t0_us=k * n * 1_000_000 // rate_Hz)
+            for k, rows in enumerate(codes)
+        ]
+        self._frames, self._link = iter(frames), Link()
+        # More than the caches of one processor hold, but for the one that all share.
+        self._other_data = np.zeros(1 << 20) if cold else None
+        self._started_ns = 0
+        self.taken_ns: list[int] = []
+        self.period_s: float | None = 1 / rate_Hz
+        self.device, self.arrival_ns, self.dead = "bench", 0, False
+
+    def read(self, timeout_s: float) -> Samples | None:
+        frame = next(self._frames, None)
+        if frame is None:
+            return None
+        if self._other_data is not None:
+            self._other_data.sum()
+        self._started_ns = time.thread_time_ns()
+        # A line that is never late: one period after another.
+        self.arrival_ns += 1_000_000
+        return self._link.feed(frame, self.arrival_ns)
+
+    def put(self, estimates: Estimates) -> None:
+        self.taken_ns.append(time.thread_time_ns() - self._started_ns)
+
+    def put_counts(self, counts: dict[str, object]) -> None:
+        pass
+
+    def report(self) -> dict[str, object]:
+        return {}
+
+    def close(self) -> None:
+        pass
+
+
+def live_line(path: str) -> None:
+    """From the bytes of a frame to its estimate: again and again, and with other data in the caches before each."""
+    sensor = load_sensor(path)
+    for rate_Hz, n in ((1000, 1), (10_000, 10), (20_000, 20)):
+        spent = []
+        for cold in (False, True):
+            frames = Frames(rate_Hz, n, cold)
+            service = Service(frames, sensor, [frames], None, Settings(1000.0), lambda: 0)  # type: ignore[list-item]
+            service.run(lambda: False)
+            spent += np.percentile(frames.taken_ns[FRAMES // 2 :], (10, 50)).tolist()
+        hot, hot_50, cold_10, cold_50 = (value / 1000 for value in spent)
+        print(
+            f"live line, {rate_Hz / 1000:g} kHz x {n} a frame: {hot_50:.0f} us of processor time from bytes to estimate "
+            f"({hot:.0f} in the best tenth), {cold_50:.0f} ({cold_10:.0f}) after 8 MB of other data"
         )
 
 

@@ -90,7 +90,7 @@ class Estimator:
         time_ns, quality = samples.time_ns, gated.quality
         if rows is not None:
             time_ns, quality = time_ns[rows], quality[rows]
-        if np.count_nonzero(outside):
+        if any(outside.tolist()):
             mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
         # One sum tells whether all are finite; where it overflows, each is asked.
         if not isfinite(np.vdot(values, sigma)):

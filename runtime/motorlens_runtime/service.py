@@ -197,7 +197,8 @@ class Service:
 
     def _hand_out(self, estimates: Estimates) -> None:
         self._published += len(estimates)
-        self._words.update(estimates.quality.tolist())
+        for word in estimates.quality.tolist():
+            self._words[word] += 1
         for outlet in self._outlets:
             outlet.put(estimates)
         if self._watch is not None:
