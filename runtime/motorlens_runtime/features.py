@@ -23,8 +23,8 @@ class Channels:
 class FeatureMap:
     """How features are made of signals and filters, as index arrays: each is a column, or the difference of two.
 
-    The columns are the S filters, then one of zeros, then the U signals, then the outputs of the observer; the last two only
-    as far as features need them. All arrays have time along their last axis.
+    The columns are the S filters, then, only if features need them, the U signals and the outputs of the observer. All arrays
+    have time along their last axis.
     """
 
     def __init__(self, specification: Specification) -> None:
@@ -35,20 +35,19 @@ class FeatureMap:
             np.array([_MEASURED.index(pair[k]) for pair in factors], dtype=np.intp) for k in (0, 1)
         )
         self._resistance_ohm = specification.resistance_ohm
-        zero = len(filters)
+        first = len(filters)
         self.uses_signals = any(feature.signal for feature in features)
-        observed = zero + 1 + (len(self._signals) if self.uses_signals else 0)
+        observed = first + (len(self._signals) if self.uses_signals else 0)
         pairs: list[tuple[int, ...]] = []
         for feature in features:
             if feature.kind == "observer":
                 pairs.append((observed + feature.output,))
             elif feature.signal:
-                pairs.append((zero + 1 + self._signals.index(feature.signal), *feature.filters))
+                pairs.append((first + self._signals.index(feature.signal), *feature.filters))
             else:
                 pairs.append(feature.filters)
-        self._plus, self._minus = (
-            np.array([(*pair, zero)[k] for pair in pairs], dtype=np.intp) for k in (0, 1)
-        )
+        self._plus = np.array([pair[0] for pair in pairs], dtype=np.intp)
+        self._differences = [(k, pair[1]) for k, pair in enumerate(pairs) if len(pair) > 1]
 
     def signals(self, channels: Channels) -> Array:
         """The signals (U, n) of n samples."""
@@ -65,11 +64,11 @@ class FeatureMap:
     def features(self, filtered: Array, signals: Array | None, observed: Array | None) -> Array:
         """Features (F, m) in SI, of filters (S, m), signals (U, m) and observer outputs (M, m) after the same samples; the
         last two None where no feature uses them."""
-        parts = [filtered, np.zeros((1, filtered.shape[1]))]
-        parts += [part for part in (signals, observed) if part is not None]
-        columns = np.concatenate(parts)
+        parts = [part for part in (filtered, signals, observed) if part is not None]
+        columns = filtered if len(parts) == 1 else np.concatenate(parts)
         features = columns.take(self._plus, axis=0)
-        features -= columns.take(self._minus, axis=0)
+        for row, minus in self._differences:
+            features[row] -= columns[minus]
         return features
 
 

@@ -85,7 +85,8 @@ class Outlet:
         self._counts: Event | None = None
         self._rows_waiting = 0
         self._wake = threading.Condition()
-        self._closing = False
+        self._closing = threading.Event()
+        self._gather_s = float(getattr(self._publisher, "gather_s", 0.0))
         self._published = self._dropped = self._errors = 0
         self._last_error: str | None = None
         self.dead = False
@@ -113,8 +114,8 @@ class Outlet:
 
     def close(self, patience_s: float = 2.0) -> None:
         """Publish what waits, for `patience_s` at most, and finish."""
+        self._closing.set()
         with self._wake:
-            self._closing = True
             self._wake.notify()
         self._thread.join(patience_s)
         if self._thread.is_alive():
@@ -141,13 +142,13 @@ class Outlet:
     def _work(self) -> None:
         while True:
             with self._wake:
-                while not self._queue and not self._closing and self._counts is None:
+                while not self._queue and not self._closing.is_set() and self._counts is None:
                     if not self._wake.wait(_FLUSH_S):
                         break
                 batch, self._queue = list(self._queue), deque()
                 self._rows_waiting = 0
                 counts, self._counts = self._counts, None
-                finish = self._closing
+                finish = self._closing.is_set()
             for item in batch:
                 if isinstance(item, Estimates):
                     self._attempt(self._publisher.publish, item)
@@ -159,6 +160,10 @@ class Outlet:
             if finish and not self._queue:
                 self._finish()
                 return
+            if self._gather_s:
+                self._closing.wait(
+                    self._gather_s
+                )  # nobody waits for `_wake` meanwhile, so that no row wakes this thread
 
     def _attempt(self, action: Callable[..., None], *arguments: Estimates | Event) -> None:
         if self.dead:

@@ -19,6 +19,7 @@ import pytest
 
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.outlet import Outlet
 from motorlens_runtime.publish import Header, open_publisher
 from motorlens_runtime.quality import Quality
 from motorlens_runtime.shared_memory import Reader, Writer
@@ -475,3 +476,19 @@ def test_shared_memory_reader_never_sees_half_a_row(tmp_path):
     assert process.returncode == 0
     process.stdout.close()
     writer.close()
+
+
+def test_rows_gather_for_a_file_and_all_are_written(tmp_path):
+    """A thousand rows, one at a time: far fewer writes than rows, none of them late, none lost, in order."""
+    outlet = Outlet(f"csv:{tmp_path}/out.csv", HEADER)
+    flushes = []
+    flush = outlet._publisher.flush
+    outlet._publisher.flush = lambda: flushes.append(flush())
+    for k in range(1000):
+        outlet.put(estimates(k + 1, 1))
+        time.sleep(0.0002)
+    eventually(lambda: len((tmp_path / "out.csv").read_text().splitlines()) == 1001)  # before it is closed
+    outlet.close()
+    times = [float(line.split(",")[0]) for line in (tmp_path / "out.csv").read_text().splitlines()[1:]]
+    assert times == sorted(times) and len(times) == 1000 and len(flushes) < 300
+    assert outlet.report().dropped == 0

@@ -30,7 +30,8 @@ class Publisher(Protocol):
     """One destination. It may raise OSError; the caller counts that and goes on.
 
     One that has a word for them also has `event(event)`, for alarms as `alarms.Event.document` has them, `counts(counts)`,
-    for what `Service.counts` says once a second, and `dropped`, the number of rows that it was given and could not send.
+    for what `Service.counts` says once a second, and `dropped`, the number of rows that it was given and could not send. One
+    whose readers do not wait for each row has `gather_s`: rows may gather for so long, which spares a wake-up for each.
     """
 
     def publish(self, estimates: Estimates) -> None:

@@ -24,6 +24,8 @@ def open_url(url: SplitResult, header: Header) -> "CsvPublisher":
 class CsvPublisher:
     """Writes to an open text file. Nine significant digits hold a float32 exactly."""
 
+    gather_s = 0.02
+
     def __init__(self, file: IO[str], header: Header) -> None:
         self._file = file
         columns = [name for output in header.outputs for name in (output.heading, output.sd_heading)]

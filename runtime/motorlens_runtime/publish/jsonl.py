@@ -33,6 +33,8 @@ def documents(estimates: Estimates, header: Header) -> list[dict[str, Any]]:
 class JsonLinesPublisher:
     """Writes to an open text file."""
 
+    gather_s = 0.02
+
     def __init__(self, file: IO[str], header: Header) -> None:
         self._file = file
         self._header = header

@@ -42,6 +42,8 @@ def _about(header: Header) -> dict[str, str]:
 class ParquetFolderPublisher:
     """Writes to a folder by its name."""
 
+    gather_s = 0.02
+
     def __init__(self, folder: Path, header: Header, rows_per_part: int) -> None:
         headings = [name for output in header.outputs for name in (output.heading, output.sd_heading)]
         self._folder = ParquetFolder(folder, headings, _about(header), rows_per_part)
@@ -61,6 +63,8 @@ class ParquetFolderPublisher:
 
 class ParquetPublisher:
     """Writes to a file by its name."""
+
+    gather_s = 0.02
 
     def __init__(self, path: str, header: Header) -> None:
         headings = [name for output in header.outputs for name in (output.heading, output.sd_heading)]
