@@ -23,8 +23,8 @@ class Channels:
 class FeatureMap:
     """How features are made of signals and filters, as index arrays: each is a column, or the difference of two.
 
-    The columns are the S filters, then, only if features need them, the U signals and the outputs of the observer. All arrays
-    have time along their last axis.
+    The columns are the S filters, then, only if features need them, the U signals and the outputs of the observer. All
+    arrays have time along their last axis.
     """
 
     def __init__(self, specification: Specification) -> None:
