@@ -65,9 +65,8 @@ def unseen(size: Size, quick: bool) -> None:
     bank, cycles = with_observer(filters(MELLAH), MELLAH, WATCHING), exact_material(size)
     methods: dict[str, Method] = {"hybrid": exact_hybrid(size), "observer alone": Observing(bank, MELLAH)}
     methods["cascade alone"] = trained(filters(MELLAH), cycles, size, (12, 8))
-    if not quick:
-        methods["plain feed-forward"] = trained(filters(MELLAH), cycles, size, (12, 8), skips=False)
-        methods["recurrent (GRU)"] = Recurrent.trained(cycles, MELLAH)
+    methods["plain feed-forward"] = trained(filters(MELLAH), cycles, size, (12, 8), skips=False)
+    methods["recurrent (GRU)"] = Recurrent.trained(cycles, MELLAH, 20 if quick else 60)
     bench = duty(MELLAH, replace(size, testing=3), 21)
     methods["EKF, exact parameters"] = ExtendedKalman(refit=False).fit(bench, MELLAH)
     if not quick:

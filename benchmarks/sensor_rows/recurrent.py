@@ -10,7 +10,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_train.baselines.method import Array, Estimate, inputs, truth
 
-BLOCK_S, UNITS, STEPS, PASSES = 0.05, 24, 300, 60
+BLOCK_S, UNITS, STEPS = 0.05, 24, 300
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Recurrent:
     sd: Array
 
     @staticmethod
-    def trained(recordings: Sequence[Recording], file: MotorFile) -> "Recurrent":
-        """Trained on recordings with their true channels."""
+    def trained(recordings: Sequence[Recording], file: MotorFile, passes: int) -> "Recurrent":
+        """Trained on recordings with their true channels, so many times."""
         torch.manual_seed(0)
         network, output = torch.nn.GRU(2, UNITS, batch_first=True), torch.nn.Linear(UNITS, 3)
         optimiser = torch.optim.Adam([*network.parameters(), *output.parameters()], lr=5e-3)
@@ -41,8 +41,8 @@ class Recurrent:
         weight = np.zeros((len(data), longest, 1), dtype=np.float32)
         for k, (inputs_k, targets_k) in enumerate(data):
             x[k, : len(inputs_k)], y[k, : len(inputs_k)], weight[k, : len(inputs_k)] = inputs_k, targets_k, 1
-        rate = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, PASSES)
-        for _ in range(PASSES):
+        rate = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, passes)
+        for _ in range(passes):
             state = None
             for first in range(0, longest, STEPS):
                 rows = slice(first, first + STEPS)
