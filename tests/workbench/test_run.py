@@ -76,3 +76,14 @@ def test_cogging_is_looked_for_where_the_angle_is_known():
     with_teeth, without = (start_model(one, runs) for one in (toothed, file))
     assert np.array_equal(predict(with_teeth, runs[1], 1)[1], predict(without, runs[1], 1)[1])
     assert not np.allclose(predict(with_teeth, runs[0], 0)[1], predict(without, runs[0], 0)[1], atol=1e-3)
+
+
+def test_few_levels_are_a_converters_if_they_toggle():
+    file, run = read_motor_file(MOTOR), wheel(0.0)
+    steps = np.repeat([1.0, 3.0, 2.0, 5.0], 500)
+    noisy = np.round(steps + 0.3 * np.random.default_rng(1).standard_normal(2000))
+
+    def step(voltage: np.ndarray) -> float:
+        return prepare(replace(run, channels={**run.channels, "voltage": voltage}), file).input_step[0]
+
+    assert step(steps) == 0.0 and step(noisy) == pytest.approx(1.0)

@@ -15,7 +15,7 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.converter import Converter, converter_of, leaning, quantisation_step
-from motorlens_workbench.denoise import Noise, moving_mean, noise_of_input, smoothed
+from motorlens_workbench.denoise import Noise, moving_mean, noise_of_input, noise_sd, smoothed
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "
 ROWS = 30_000
 # Levels up to the largest value below which these are no converter's, but steps of a command.
 COARSEST = 32
+# Noise, in steps, from which on levels are a converter's.
+TOGGLES = 0.05
 # From one sample to the next at rated speed, rad: further, the angle is anybody's guess.
 HALF_TURN = 3.14
 # Consecutive samples of exactly 0, at the start or the end, that are no chance.
@@ -238,4 +240,6 @@ def largest_offset(y: Array) -> float | None:
 def _least_bit(y: Array) -> float:
     """The least significant bit of a measured input; 0 if it looks continuous, or if its levels are those of a command."""
     step = quantisation_step(y)
-    return step if COARSEST * step <= np.max(np.abs(y)) else 0.0
+    # A converter toggles between two levels where the signal is steady, however few levels are used; a command does not.
+    toggles = noise_sd(y, step) > TOGGLES * step
+    return step if toggles or COARSEST * step <= np.max(np.abs(y)) else 0.0
