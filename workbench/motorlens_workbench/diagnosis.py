@@ -17,7 +17,7 @@ from motorlens_runtime.errors import ModelError
 from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
 from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
 from motorlens_workbench.leftover import Bend, leftover
-from motorlens_workbench.look import Look, look
+from motorlens_workbench.look import Look, look, unsettled
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run, prepare_all
 from motorlens_workbench.selection import Progress
@@ -41,7 +41,7 @@ class Finding:
         steps: effects accepted, in order.
         last: the screen from the final model.
         failed: candidates whose refit did not do what the screen promised.
-        whole: free curves that explain what the base model lacks, if any is left in the end; the strongest first.
+        whole: free curves that explain what the base model lacks, if anything is left in the end; the strongest first.
         left: free curves that explain what the final model lacks.
         dead: channels that follow nothing, left out of all the rest.
     """
@@ -92,7 +92,9 @@ def investigate(
         current = look(step.found, runs, own)
     say("looking at what is left")
     left = leftover(current.found, runs, current.decoy)
-    whole = leftover(first.found, runs, first.decoy) if steps and left else left
+    whole = left
+    if steps and (left or unsettled(current, runs)):
+        whole = leftover(first.found, runs, first.decoy)
     return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left), dead)
 
 

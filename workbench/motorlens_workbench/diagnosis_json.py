@@ -9,9 +9,10 @@ from motorlens_workbench.candidates import Curve
 from motorlens_workbench.dead_channels import DeadChannel
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.experiments import Experiment
+from motorlens_workbench.look import held_out, noise_floor
 from motorlens_workbench.selection import Test
 from motorlens_workbench.variation import Variation
-from motorlens_workbench.verdict import Verdict, held_out, noise_floor, sizes
+from motorlens_workbench.verdict import Verdict, sizes
 
 SHOWN = 12
 
@@ -65,9 +66,14 @@ def ranked(found: Finding, verdict: Verdict) -> list[str]:
 
 def errors(found: Finding) -> dict[str, Any]:
     """Held-out RMSE of each channel before and after, and the noise floor."""
-    before = held_out(found.first, found)
-    after = held_out(found.last, found) if found.steps else before
-    return {"before": before, "after": after, "noise_floor": noise_floor(found.last, found), "held_out": True}
+    before = held_out(found.first, found.runs)
+    after = held_out(found.last, found.runs) if found.steps else before
+    return {
+        "before": before,
+        "after": after,
+        "noise_floor": noise_floor(found.last, found.runs),
+        "held_out": True,
+    }
 
 
 def _dead(one: DeadChannel) -> dict[str, Any]:

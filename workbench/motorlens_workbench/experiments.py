@@ -18,9 +18,10 @@ from motorlens_workbench.candidates import Candidate, candidates
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.evidence import _inverse
 from motorlens_workbench.fitting import base_prior, start_model
+from motorlens_workbench.look import noise_floor
 from motorlens_workbench.run import prepare
 from motorlens_workbench.screen import columns_of
-from motorlens_workbench.verdict import Verdict, noise_floor
+from motorlens_workbench.verdict import Verdict
 from motorlens_workbench.whitening import white
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Exper
         return None
     step = next(step for step in found.steps if step.test.candidate.name == group[0])
     file = found.base.model.file
-    floor = noise_floor(found.last, found)
+    floor = noise_floor(found.last, found.runs)
     every = {c.name: c for c in candidates(file, tuple(floor), ("voltage", *_known(found)))}
     listed = [every[name] for name in group if name in every]
     strength = abs(step.test.size / step.test.typical)

@@ -14,10 +14,20 @@ from motorlens_workbench.input_errors import without_input_errors
 from motorlens_workbench.leftover import BALANCES
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import Columns, all_columns, evidence_of, unexplained, with_priors
+from motorlens_workbench.screen import (
+    Columns,
+    all_columns,
+    evidence_of,
+    held_out_rmse,
+    unexplained,
+    with_priors,
+)
 from motorlens_workbench.selection import Test, test_all
 
 Array = NDArray[np.float64]
+
+# Times the noise floor from which on a channel is not explained.
+FAR = 2.0
 
 
 @dataclass(frozen=True)
@@ -78,3 +88,26 @@ def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:
     """The best statistic that a decoy reaches beside some columns."""
     found = dict(zip(left.names, statistics(left, given).tolist(), strict=False))
     return max((value for name, value in found.items() if name.startswith("decoy.")), default=0.0)
+
+
+def held_out(now: Look, runs: Sequence[Run]) -> dict[str, float]:
+    """RMSE of each channel on blocks of time that the parameters were not fitted to, see `held_out_rmse`."""
+    return held_out_rmse(now.found, runs, now.columns, now.recorded)
+
+
+def noise_floor(now: Look, runs: Sequence[Run]) -> dict[str, float]:
+    """Standard deviation of what nothing explains, per channel, over all runs."""
+    squares: dict[str, list[tuple[float, int]]] = {}
+    for noise, run in zip(now.noise, runs, strict=True):
+        for c, channel in enumerate(run.channels):
+            squares.setdefault(channel, []).append((float(noise[c] ** 2), len(run)))
+    return {
+        channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
+        for channel, parts in squares.items()
+    }
+
+
+def unsettled(now: Look, runs: Sequence[Run]) -> bool:
+    """Whether the model is still far from speed or temperature; the current follows the noise on the voltage as well."""
+    error, floor = held_out(now, runs), noise_floor(now, runs)
+    return any(error[c] > FAR * floor[c] for c in error if c != "current")

@@ -12,8 +12,7 @@ import numpy as np
 from motorlens_workbench.diagnosis import MOST, Finding
 from motorlens_workbench.evidence import score
 from motorlens_workbench.leftover import Bend
-from motorlens_workbench.look import Look
-from motorlens_workbench.screen import held_out_rmse
+from motorlens_workbench.look import Look, unsettled
 from motorlens_workbench.selection import WORTH, Test
 from motorlens_workbench.steps import TOLD_APART, Step
 
@@ -113,8 +112,10 @@ def structure(found: Finding) -> Bend | None:
     """The free curve that shows that something unnamed is left; None if what is left is noise."""
     gain = sum(step.gain for step in found.steps)
     share = AFTER_ALL if len(found.steps) == MOST else BETTER
-    if len(found.steps) > 1 and found.left and found.whole and found.whole[0].gain > INSTEAD * gain:
-        return found.whole[0]
+    if found.steps and found.whole:
+        instead = len(found.steps) > 1 and found.left and found.whole[0].gain > INSTEAD * gain
+        if instead or unsettled(found.last, found.runs):
+            return found.whole[0]
     for bend in found.left:
         if bend.gain > max(WORTH * found.last.samples, share * gain):
             return bend
@@ -210,20 +211,3 @@ def measured(now: Look, key: str) -> tuple[float, float]:
     if tested is None:
         return value, unit
     return value, unit * float(np.hypot(np.sqrt(tested.covariance[0, 0]), 0.5 * tested.coefficient[0]))
-
-
-def held_out(now: Look, found: Finding) -> dict[str, float]:
-    """RMSE of each channel on blocks of time that the parameters were not fitted to, see `held_out_rmse`."""
-    return held_out_rmse(now.found, found.runs, now.columns, now.recorded)
-
-
-def noise_floor(now: Look, found: Finding) -> dict[str, float]:
-    """Standard deviation of what nothing explains, per channel, over all runs."""
-    squares: dict[str, list[tuple[float, int]]] = {}
-    for noise, run in zip(now.noise, found.runs, strict=True):
-        for c, channel in enumerate(run.channels):
-            squares.setdefault(channel, []).append((float(noise[c] ** 2), len(run)))
-    return {
-        channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
-        for channel, parts in squares.items()
-    }
