@@ -25,8 +25,8 @@ GROUP = 6
 BETTER = 0.15
 # Share of the whitened sum of squares that a curve must explain where nothing was named: without a name, more is asked.
 UNNAMED = 5e-3
-# What BETTER is where as many effects as may be were named already and something is left, and what a single curve may explain
-# from the start, over all that was named.
+# What BETTER is where as many effects as may be were named already, and what a single curve may explain from the start, over
+# all that was named.
 AFTER_ALL, INSTEAD = 0.05, 1.25
 
 
