@@ -1,0 +1,90 @@
+"""Which effects count beside each other, and when a curve without a name stands against them: both sides of each rule."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from motorlens_physics.effect import catalogue
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_physics.simulation import Inputs, simulate
+from motorlens_workbench import verdict
+from motorlens_workbench.fitting import Prior, base_prior, fit, start_model
+from motorlens_workbench.run import prepare
+from motorlens_workbench.steps import imperfections
+
+MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+
+
+@pytest.mark.parametrize(
+    ("alike", "loss", "gain", "mends"),
+    [
+        (0.95, 500.0, 50.0, True),  # nearly a copy, worth little beside it
+        (0.95, 500.0, 150.0, False),  # worth more than a tenth
+        (0.5, 5.0, 50.0, True),  # as good in its place
+        (0.5, 500.0, 50.0, False),  # another thing
+    ],
+)
+def test_what_mends_the_shape_of_an_effect_is_no_second_one(alike, loss, gain, mends):
+    step = SimpleNamespace(
+        alike={"brush_voltage_drop": alike}, losses={"brush_voltage_drop": loss}, gain=1000.0
+    )
+    now = SimpleNamespace(tests={"brush_voltage_drop": SimpleNamespace(gain=gain)})
+    assert imperfections([step], now) == (["brush_voltage_drop"] if mends else [])
+
+
+@pytest.mark.parametrize(
+    ("steps", "left", "whole", "far", "against"),
+    [
+        ([], [40.0], [], False, None),  # a curve without a name must explain half a hundredth
+        ([], [60.0], [], False, 60.0),
+        ([1000.0], [140.0], [900.0], False, None),
+        ([1000.0], [160.0], [900.0], False, 160.0),
+        ([600.0, 300.0, 100.0], [60.0], [1200.0], False, 60.0),  # after three names less is enough
+        ([600.0, 400.0], [60.0], [1200.0], False, None),
+        ([600.0, 400.0], [60.0], [1300.0], False, 1300.0),  # one curve instead of two names
+        ([1000.0], [], [900.0], True, 900.0),  # speed or temperature is still far off
+    ],
+)
+def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monkeypatch):
+    monkeypatch.setattr(verdict, "unsettled", lambda now, runs: far)
+    found = SimpleNamespace(
+        steps=[SimpleNamespace(gain=gain) for gain in steps],
+        left=[SimpleNamespace(gain=gain) for gain in left],
+        whole=[SimpleNamespace(gain=gain) for gain in whole],
+        last=SimpleNamespace(samples=10_000.0),
+        runs=(),
+    )
+    bend = verdict.structure(found)
+    assert (bend.gain if bend else None) == against
+
+
+@pytest.mark.parametrize("housing_K", [12.0, 38.0])
+def test_how_warm_the_housing_was_is_found(housing_K):
+    """A motor switched on warm, after a short run (its housing is cold) or a long one."""
+    file = read_motor_file(MOTOR)
+    file = replace(file, motor=file.motor.with_effect(catalogue()["two_node_thermal"].typical(file.rated)))
+    time = np.arange(0.0, 1500.0, 0.5)
+    rng = np.random.default_rng(3)
+    inputs = Inputs(time, np.full(len(time), 60.0), np.zeros(len(time)), np.full(len(time), 20.0))
+    truth = simulate(file.motor, inputs, {"w": 60.0, "theta": 40.0, "theta_h": housing_K}, smooth=True)
+    channels = {
+        "voltage": inputs.voltage_V, "ambient": inputs.ambient_C, "load_torque": inputs.load_torque_Nm,
+        "current": truth.current_A + 0.05 * rng.standard_normal(len(time)),
+        "speed": truth.speed_rad_s + 0.5 * rng.standard_normal(len(time)),
+        "temperature": 20.0 + truth.rise_K + 0.1 * rng.standard_normal(len(time)),
+    }  # fmt: skip
+    run = prepare(Recording("warm", time, channels), file)
+    prior = base_prior(file, [run])
+    started = start_model(file, [run])
+    assert started.own[0]["initial.theta_h"] == pytest.approx(0.8 * 40.0, abs=0.5)
+    # The motor is known, the start is not.
+    own = Prior(
+        *({k: v for k, v in part.items() if "@" in k} for part in (prior.centre, prior.sd, prior.bounds))
+    )
+    found = fit(started, [run], own)
+    at, width = found.model.values()["initial.theta_h@0"], found.sd()["initial.theta_h@0"]
+    assert abs(at - housing_K) < 4 * width and 0.0 < width < 2.0
