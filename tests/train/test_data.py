@@ -115,6 +115,15 @@ def test_paper_protocol_beats_the_paper() -> None:
     assert 0 < run.table["temperature"]["rmse"] < 0.2 and 0 < run.table["resistance"]["rmse"] < 0.001
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nearly_exact_data_are_learnt_nearly_exactly(seed: int) -> None:
+    """A start from which the evidence settles where the network is all but linear ends above 2e-6."""
+    recipe = Recipe(
+        "paper", bank_of(MOTOR), OUTPUTS, (12, 8), Rate(1000.0, 200.0, 2000.0), 1.0, seed, Settings()
+    )
+    assert 0 < paper_run(MOTOR, recipe, Noise(0.48, 0.051), seed).training_error < 3e-7
+
+
 def test_temperature_without_ambient_is_refused() -> None:
     recording = Recording("r.csv", np.arange(3.0), {"voltage": np.ones(3), "temperature": np.ones(3)})
     with pytest.raises(DataError, match=r"r.csv: temperature without ambient"):

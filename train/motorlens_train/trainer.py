@@ -180,7 +180,7 @@ class _Run:
 
     def start(self) -> State:
         hidden = initial(self.architecture, np.random.default_rng([self.seed, 1]))
-        hyper = Hyperparameters.start(self.architecture, hidden, self.settings.tau)
+        hyper = Hyperparameters.start(self.architecture, self.settings.tau)
         gamma = torch.zeros(self.architecture.layers + 1, dtype=torch.float64)
         return State(hidden, hyper, gamma, DAMPING, 0, 0, 0, hidden, hyper, float("inf"), 0, ())
 
