@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect, catalogue
+from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
 from motorlens_physics.simulation import Trajectory
@@ -148,8 +149,9 @@ def equation_of(effect: type[Effect]) -> str:
     return EQUATIONS["voltage" if defines[0] == "inductance" else defines[0]]
 
 
-# Points at which an effect of the shaft angle is taken within a sample.
-PHASES = 8
+# Largest factor by which samples of an effect of the shaft angle are raised: beyond it (near half the sampling rate) lines
+# between the samples cannot stand for it.
+RAISED = 3.0
 
 
 @dataclass(frozen=True)
@@ -185,23 +187,52 @@ def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
 
 
 def _of_angle(effect: Effect, trajectory: Trajectory) -> Forcing:
-    motor, u = trajectory.motor, inputs_at(trajectory)
-    x = _states(effect, trajectory, u)
-    ways = within_samples(x.phi)
-    sums = {name: np.zeros(len(u.t)) for name in ("voltage", "torque", "heat")}
-    for x.phi in ways:
-        for name in sums:
-            sums[name] += _array(getattr(effect, name)(motor, x, u), len(u.t)) / len(ways)
-    return Forcing(sums["voltage"], sums["torque"], sums["heat"])
+    x = _states(effect, trajectory, inputs_at(trajectory))
+    return of_angle(effect, trajectory.motor, x, trajectory.inputs.time_s, held=False)
 
 
-def within_samples(phi: Array) -> list[Array]:
-    """Shaft angles (N,) at points from half a sample before to half a sample after: what acts is the mean over them.
+def of_angle(effect: Effect, motor: Motor, x: Any, time_s: Array, *, held: bool) -> Forcing:
+    """What an effect of the shaft angle adds to the balances, as samples that do in between what its true course does.
 
-    What goes round faster than it is sampled would else pass for something slow.
+    Args:
+        effect: with the angle as its state.
+        motor: the motor it belongs to.
+        x: (N,) states along the way, "phi" among them.
+        time_s: (N,) of the samples.
+        held: whether a sample holds until the next; otherwise they are joined by straight lines.
     """
-    turn = np.gradient(phi)
-    return [phi + ((k + 0.5) / PHASES - 0.5) * turn for k in range(PHASES)]
+    rounds = getattr(effect, "N", 1.0)
+    advance, period_s = rounds * np.gradient(x.phi), float(np.median(np.diff(time_s)))
+    lag_s = {"voltage": motor.L / motor.R_a0, "torque": motor.J / (motor.b + motor.ke**2 / motor.R_a0)}
+    parts = {}
+    for name, lag in lag_s.items():
+        factor = between_samples(advance, lag / period_s, held=held)
+        at = SimpleNamespace(**{**vars(x), "phi": x.phi + np.angle(factor) / rounds})
+        size = np.abs(factor)
+        parts[name] = np.where(size < RAISED, size, 0.0) * getattr(effect, name)(motor, at, None)
+    return Forcing(**parts, heat=_array(effect.heat(motor, x, None), len(advance)))
+
+
+def between_samples(advance: Array, lag: float, *, held: bool) -> NDArray[np.complex128]:
+    """(N,) factor for samples of a rotating phasor, so that a first-order lag answers as to the phasor itself.
+
+    The true answer over that of the sampled lag, 1 / (1 + j w T) over (b0 + b1 z) / (z - k) with z = exp(j w dt), where the
+    lag is driven by straight lines, or steps, between the samples (Franklin, Powell and Workman, Digital Control of Dynamic
+    Systems, 3rd ed., section 6.3). A pure integrator driven by lines wants tan(h) / h, h = w dt / 2.
+
+    Args:
+        advance: (N,) phase from one sample to the next, rad, w dt.
+        lag: time constant in samples, T / dt.
+        held: steps, not lines.
+
+    >>> abs(between_samples(np.array([0.5]), 1e6, held=False) - np.tan(0.25) / 0.25)[0] < 1e-5
+    True
+    """
+    keep = np.exp(-1 / lag)
+    later = 0.0 if held else 1 - lag * (1 - keep)
+    z = np.exp(1j * advance)
+    sampled = (1 - keep - later + later * z) / (z - keep)
+    return np.asarray(1 / (1 + 1j * advance * lag) / np.where(np.abs(sampled) > 1e-12, sampled, 1e-12))
 
 
 def inputs_at(trajectory: Trajectory) -> Any:

@@ -21,6 +21,7 @@ from motorlens_workbench.look import Look, look, unsettled
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run, prepare_all
 from motorlens_workbench.selection import Progress
+from motorlens_workbench.shaft import followed
 from motorlens_workbench.steps import Step, advance, imperfections
 
 Array = NDArray[np.float64]
@@ -124,10 +125,12 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
         chosen.append(quiet if smoother else rough)
     model = fits[-1 if any(run.smooth for run in chosen) else 0].model
     found = fit(replace(model, held=tuple(held)), chosen, prior)
-    if not any(converter.step for run in chosen for converter in run.converters):
-        return found, tuple(chosen)
-    leaning = tuple(run.leaning(predict(found.model, run, r)[1]) for r, run in enumerate(chosen))
-    return fit(found.model, leaning, prior), leaning
+    leans = any(converter.step for run in chosen for converter in run.converters)
+    turned = any("phi" in effect.states for effect in file.motor.effects)
+    for r, run in enumerate(chosen):
+        trajectory, y = predict(found.model, run, r)
+        chosen[r] = followed(run.leaning(y) if leans else run, trajectory, y)
+    return fit(found.model, chosen, prior) if leans or turned else found, tuple(chosen)
 
 
 def _error_of(found: Fit, way: Run, held: bool, r: int) -> tuple[float, float]:

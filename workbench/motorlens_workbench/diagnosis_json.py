@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from motorlens_workbench.candidates import Curve
 from motorlens_workbench.dead_channels import DeadChannel
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.experiments import Experiment
+from motorlens_workbench.lasting import Lasting
 from motorlens_workbench.look import held_out, noise_floor
+from motorlens_workbench.screen import Free
 from motorlens_workbench.selection import Test
 from motorlens_workbench.variation import Variation
 from motorlens_workbench.verdict import Verdict, sizes
@@ -162,7 +163,9 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     return "Nothing is missing above the sizes listed: larger effects would have been seen."
 
 
-def _shape(curve: Curve | Variation) -> str:
+def _shape(curve: Free) -> str:
+    if isinstance(curve, Lasting):
+        return f"it follows the past of the {curve.past} and is shown against the frequency of that, in {curve.unit}"
     if isinstance(curve, Variation):
         return f"{curve.parameter} is no constant but changes with {curve.against}, in {curve.unit}"
     return f"it is shown against {curve.against}, in {curve.unit}"

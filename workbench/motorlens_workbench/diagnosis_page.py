@@ -30,6 +30,7 @@ UNIT_AGAINST = {
     "temperature": "K above ambient",
     "time": "s",
     "angle": "rad",
+    "frequency": "Hz",
     "travel": "rad since the last reversal",
 }
 # As many candidates as fit into a picture.

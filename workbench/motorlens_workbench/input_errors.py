@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.simulation import cores
-from motorlens_workbench.candidates import Candidate, Curve
+from motorlens_workbench.candidates import Candidate
 from motorlens_workbench.evidence import Evidence
 from motorlens_workbench.fitting import Fit, Prior
 from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import columns_of, products_with_residual
-from motorlens_workbench.variation import Variation
+from motorlens_workbench.screen import Free, columns_of, products_with_residual
 from motorlens_workbench.whitening import Whitener
 
 Array = NDArray[np.float64]
@@ -28,7 +27,7 @@ def without_input_errors(
     runs: Sequence[Run],
     whiteners: Sequence[Whitener],
     listed: Sequence[Candidate],
-    free: Sequence[Curve | Variation],
+    free: Sequence[Free],
     with_decoys: bool,
 ) -> Evidence:
     """The evidence without what errors of the measured inputs put into it; itself if there are none worth a thought."""
@@ -43,7 +42,7 @@ def feigned(
     runs: Sequence[Run],
     whiteners: Sequence[Whitener],
     listed: Sequence[Candidate],
-    free: Sequence[Curve | Variation],
+    free: Sequence[Free],
     with_decoys: bool,
 ) -> Array:
     """(DRAWS, B, M) products of every column with the residual that errors of the measured inputs alone would leave.

@@ -1,4 +1,4 @@
-"""What a model leaves unexplained that is no noise: free curves and parameters that are no constants.
+"""What a model leaves unexplained that is no noise: free curves, terms with a memory, parameters that are no constants.
 
 They have no name. Where one of them explains much of what is left, something is missing that the catalogue has not.
 """
@@ -14,9 +14,10 @@ from motorlens_workbench.candidates import Curve, curves
 from motorlens_workbench.evidence import Evidence, curve_gain, statistics
 from motorlens_workbench.fitting import Fit
 from motorlens_workbench.input_errors import without_input_errors
+from motorlens_workbench.lasting import Lasting, lasting
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import all_columns, evidence_of, with_priors
+from motorlens_workbench.screen import Free, all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL
 from motorlens_workbench.variation import Variation, variations
 
@@ -37,13 +38,13 @@ class Bend:
         curve: the curve.
         gain: fall of the whitened sum of squares beyond chance.
         deviations: how many standard deviations that is.
-        knots: (k,) those of its knots that the data know.
+        knots: (k,) those of its knots that the data know; the frequencies, in Hz, of a term with a memory.
         best: the robust statistic of its strongest single knot.
         value: (k,) the curve there, in the unit of its balance.
         sd: (k,) its standard deviation.
     """
 
-    curve: Curve | Variation
+    curve: Free
     gain: float
     deviations: float
     best: float
@@ -62,7 +63,8 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     """
     outputs = sorted({channel for run in runs for channel in run.channels})
     trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
-    free: list[Curve | Variation] = [c for c in curves(trajectories, BALANCES) if not _disturbance(c)]
+    free: list[Free] = [c for c in curves(trajectories, BALANCES) if not _disturbance(c)]
+    free += lasting(trajectories)
     free += variations(found.model.file, trajectories, outputs)
     columns = all_columns(found, runs, (), free, with_decoys=False)
     evidence = evidence_of(columns, runs, found.whiteners)
@@ -77,7 +79,7 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     ]
 
 
-def bends_of(left: Evidence, held: Evidence, free: Sequence[Curve | Variation]) -> list[Bend]:
+def bends_of(left: Evidence, held: Evidence, free: Sequence[Free]) -> list[Bend]:
     """Every free curve against what is left, the strongest first.
 
     Args:
@@ -93,9 +95,14 @@ def bends_of(left: Evidence, held: Evidence, free: Sequence[Curve | Variation]) 
         if tested is None or shape is None:
             continue
         at = [int(name.rpartition(".")[2]) for name in shape.names]
-        spread = np.sqrt(np.maximum(np.diagonal(shape.covariance), 0))
         best = max(single[name] for name in tested.names)
-        found.append(Bend(curve, gain, deviations, best, curve.knots[at], shape.coefficient, spread))
+        if isinstance(curve, Lasting):
+            knots = curve.frequencies_Hz
+            value, spread = curve.amplitude(at, shape.coefficient, shape.covariance)
+        else:
+            knots, value = curve.knots[at], shape.coefficient
+            spread = np.sqrt(np.maximum(np.diagonal(shape.covariance), 0))
+        found.append(Bend(curve, gain, deviations, best, knots, value, spread))
     return sorted(found, key=lambda bend: -bend.gain)
 
 
@@ -120,7 +127,7 @@ def _believable(bend: Bend, rated: Rated) -> bool:
         "torque": rated.torque_Nm,
         "heat": 3 * rated.voltage_V * rated.current_A,
     }
-    if isinstance(bend.curve, Variation):
+    if not isinstance(bend.curve, Curve):
         return True
     sure = np.abs(bend.value) > 3 * bend.sd
     return bool(np.median(np.abs(bend.value[sure])) < limit[bend.curve.balance]) if sure.any() else True

@@ -21,7 +21,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
-from motorlens_workbench.candidates import SETTLED, is_rise, within_samples
+from motorlens_workbench.candidates import SETTLED, is_rise, of_angle
 from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
@@ -59,17 +59,13 @@ class Model:
 
 
 def by_angle(model: Model, run: Run) -> tuple[Effect, ...]:
-    """The torques of the model that depend on the shaft angle alone, where that was measured: they act as part of the load.
+    """What of the model goes with a shaft angle that is known: it acts as part of the inputs.
 
-    An angle from a simulated speed would drift by whole teeth; the measured one does not.
+    An angle from a simulated speed would drift by whole teeth.
     """
-    if run.angle is None:
+    if run.shaft is None:
         return ()
-    return tuple(
-        effect
-        for effect in model.file.motor.effects
-        if set(effect.states) == {"phi"} and type(effect).voltage is Effect.voltage
-    )
+    return tuple(effect for effect in model.file.motor.effects if set(effect.states) == {"phi"})
 
 
 def without_angle(model: Model, run: Run) -> tuple[Effect, ...]:
@@ -78,7 +74,7 @@ def without_angle(model: Model, run: Run) -> tuple[Effect, ...]:
 
 
 def motor_of(model: Model, run: Run) -> Motor:
-    """The motor that is simulated: without the torques that the measured angle determines, or an unknown one averages."""
+    """The motor that is simulated: without what the known angle determines, or an unknown one averages."""
     away = (*by_angle(model, run), *without_angle(model, run))
     motor = model.file.motor
     return replace(motor, effects=tuple(effect for effect in motor.effects if effect not in away))
@@ -87,19 +83,21 @@ def motor_of(model: Model, run: Run) -> Motor:
 def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
     own, shown = model.own[r], run.inputs
-    detents = 0.0
+    motor, held = model.file.motor, model.held[r] if model.held else shown.held
+    detents, ripple = np.zeros(len(shown.time_s)), np.zeros(len(shown.time_s))
     for effect in by_angle(model, run):
-        assert run.angle is not None
-        ways = [SimpleNamespace(phi=phi) for phi in within_samples(run.angle)]
-        detents = detents + sum(effect.torque(model.file.motor, at, None) for at in ways) / len(ways)
+        assert run.shaft is not None
+        at = SimpleNamespace(phi=run.shaft.angle_rad, i=run.shaft.current_A, w=run.shaft.speed_rad_s)
+        added = of_angle(effect, motor, at, shown.time_s, held=held)
+        detents, ripple = detents + added.torque, ripple + added.voltage
     inputs = replace(
         shown,
-        voltage_V=_unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V),
+        voltage_V=_unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V) + ripple,
         load_torque_Nm=_unread(model.file.sensors, "load_torque", shown.time_s, shown.load_torque_Nm)
         + own.get("load", 0.0)
         - detents,
         ambient_C=shown.ambient_C + own.get("ambient", 0.0),
-        held=model.held[r] if model.held else shown.held,
+        held=held,
     )
     return inputs
 

@@ -17,6 +17,7 @@ from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing
 from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 from motorlens_workbench.fitting import Fit, usable
+from motorlens_workbench.lasting import Lasting
 from motorlens_workbench.model import (
     Model,
     inputs_of,
@@ -32,6 +33,9 @@ from motorlens_workbench.variation import Variation
 from motorlens_workbench.whitening import Whitener
 
 Array = NDArray[np.float64]
+
+# Terms without a name.
+Free = Curve | Lasting | Variation
 
 BLOCKS = 64
 # Columns carried at once, so that memory stays small on long recordings.
@@ -84,9 +88,9 @@ class Line:
         cls, model: Model, run: Run, r: int, trajectory: Trajectory, linearisation: Linearisation
     ) -> "Line":
         """The problem of a model that was linearised already."""
-        if run.angle is not None:
-            # Forcings of the shaft angle follow the measured one, which does not drift.
-            trajectory = replace(trajectory, states={**trajectory.states, "phi": run.angle})
+        if run.shaft is not None:
+            # Forcings of the shaft angle follow the known one, which does not drift.
+            trajectory = replace(trajectory, states={**trajectory.states, "phi": run.shaft.angle_rad})
 
         def respond(voltage: Array, torque: Array, heat: Array) -> Array:
             states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat)
@@ -135,7 +139,7 @@ class Line:
             still,
         )[:, :, 0]
 
-    def of_curve(self, curve: Curve | Variation) -> Array:
+    def of_curve(self, curve: Free) -> Array:
         """(rows, C, k) responses to the hat functions of a free curve."""
         added = curve.forcing(
             self.trajectory, self.angle() if curve.against == "angle" else self.run.inputs.time_s
@@ -143,9 +147,9 @@ class Line:
         return self.respond(added.voltage, added.torque, added.heat)
 
     def angle(self) -> Array:
-        """(N,) shaft angle within a revolution: measured, or the integral of the measured or simulated speed."""
-        if self.run.angle is not None:
-            return np.asarray(np.mod(self.run.angle, 2 * np.pi))
+        """(N,) shaft angle within a revolution: as followed, or the integral of the measured or simulated speed."""
+        if self.run.shaft is not None:
+            return np.asarray(np.mod(self.run.shaft.angle_rad, 2 * np.pi))
         time = self.run.inputs.time_s
         w = (
             self.run.measured[:, self.run.channels.index("speed")]
@@ -163,7 +167,7 @@ def columns_of(
     keys: Sequence[str],
     scales: Mapping[str, float],
     listed: Sequence[Candidate],
-    free_curves: Sequence[Curve | Variation],
+    free_curves: Sequence[Free],
     with_decoys: bool = True,
 ) -> Columns:
     """All columns of one run.
@@ -290,7 +294,7 @@ def all_columns(
     found: Fit,
     runs: Sequence[Run],
     listed: Sequence[Candidate],
-    free_curves: Sequence[Curve | Variation],
+    free_curves: Sequence[Free],
     with_decoys: bool = True,
 ) -> list[Columns]:
     """The columns of every run in one pass."""

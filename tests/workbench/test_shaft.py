@@ -1,0 +1,90 @@
+"""What goes with the shaft angle: samples of it against an integration in full, and the angle where none was recorded."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from motorlens_physics.effect import catalogue
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_physics.simulation import Inputs, simulate
+from motorlens_workbench.candidates import between_samples, shaped
+from motorlens_workbench.fitting import start_model
+from motorlens_workbench.model import predict, with_effect
+from motorlens_workbench.run import prepare_all
+from motorlens_workbench.shaft import followed
+
+MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+
+
+@pytest.mark.parametrize(
+    ("lag", "advance", "held"),
+    [(0.35, 3.6, False), (5.0, 1.8, False), (0.5, 2.5, True), (50.0, 0.8, True), (5.0, -4.5, False)],
+)
+def test_a_lag_driven_by_the_samples_answers_as_to_the_phasor(lag, advance, held):
+    """T x' = u - x integrated by scipy, with cos(w t) and with its samples times the factor, held or joined by lines."""
+    factor = between_samples(np.array([advance]), lag, held=held)[0]
+    at = np.arange(40)
+    samples = np.real(factor * np.exp(1j * advance * at))
+    # Begun on the answer that cos(w t) has in the long run, both have nothing to forget.
+    first = np.real(1 / (1 + 1j * advance * lag))
+
+    def rates(t, x):
+        drive = samples[min(int(t), 39)] if held else np.interp(t, at, samples)
+        return [(drive - x[0]) / lag, (np.cos(advance * t) - x[1]) / lag]
+
+    both = solve_ivp(rates, (0, 39), [first, first], t_eval=at, max_step=0.02, rtol=1e-7, atol=1e-9).y
+    assert np.abs(both[0] - both[1]).max() < 2e-3 * max(np.abs(both[1]).max(), 1e-2)
+    # Without the factor it is off by far.
+    assert abs(factor - 1) > 0.02
+
+
+@pytest.fixture(scope="module")
+def turning():
+    """20 s at 500 Hz of a motor with a ripple of 3 %, and the file that lacks it and is 3 % off in ke and R."""
+    file = read_motor_file(MOTOR)
+    ripple = shaped(catalogue()["commutation_ripple"].typical(file.rated), eps=0.03, N=4.0, p=0.7)
+    time = np.arange(10_000) * 0.002
+    rng = np.random.default_rng(0)
+    voltage = np.repeat(rng.uniform(0.3, 0.6, 20), 500) * file.rated.voltage_V
+    inputs = Inputs(time, voltage, np.full(len(time), 1.0), np.full(len(time), 20.0), held=True)
+    true = simulate(file.motor.with_effect(ripple), inputs)
+    channels = {
+        "voltage": voltage, "load_torque": inputs.load_torque_Nm,
+        "current": true.current_A + 0.01 * rng.standard_normal(len(time)),
+        "speed": true.speed_rad_s + 0.2 * rng.standard_normal(len(time)),
+    }  # fmt: skip
+    wrong = {"ke": 1.03 * file.motor.ke, "R_a0": 0.97 * file.motor.R_a0}
+    return replace(file.with_values(wrong), name="wrong"), Recording("turning", time, channels), true, ripple
+
+
+def test_the_angle_is_followed_where_the_simulated_one_is_turns_ahead(turning):
+    file, recording, true, _ = turning
+    run = prepare_all([recording], file)[0]
+    model = replace(start_model(file, [run]), held=(True,))
+    trajectory, shown = predict(model, run, 0)
+    found = followed(run, trajectory, shown)
+    assert found.shaft is not None
+    simulated = np.concatenate([[0.0], np.cumsum(trajectory.speed_rad_s[:-1] * 0.002)])
+    assert np.abs(simulated - true.states["phi"]).max() > 6.0
+    assert np.abs(found.shaft.angle_rad - true.states["phi"]).max() < 0.3
+
+
+def test_what_the_ripple_changes_follows_from_the_shaft_as_followed(turning):
+    """What the ripple changes, against the integration in full with the angle as a state."""
+    file, recording, true, ripple = turning
+    run = prepare_all([recording], file)[0]
+    right = start_model(read_motor_file(MOTOR), [run])
+    plain = replace(right, held=(True,))
+    trajectory, shown = predict(plain, run, 0)
+    known = followed(run, trajectory, shown)
+    with_it = with_effect(plain, ripple)
+    change = predict(with_it, known, 0)[1] - predict(plain, known, 0)[1]
+    truth = np.column_stack([true.current_A, true.speed_rad_s]) - predict(plain, run, 0)[1]
+    for c in range(2):
+        expected, found = truth[500:, c], change[500:, c]
+        assert np.std(found - expected) < 0.35 * np.std(expected)
+        assert 0.85 < np.std(found) / np.std(expected) < 1.15
