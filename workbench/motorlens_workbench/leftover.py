@@ -19,7 +19,7 @@ from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
 from motorlens_workbench.screen import Free, all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL
-from motorlens_workbench.variation import Variation, variations
+from motorlens_workbench.variation import variations
 
 Array = NDArray[np.float64]
 
