@@ -91,6 +91,9 @@ def regbot(folder: Path) -> None:
     both = ["coulomb_friction", "brush_voltage_drop"]
     rungs = add(both, fitted, judge, WHEEL, *side("L"))
     ladder("regbot, free-run speed of robots 03, 05 and 10, nothing fitted", rungs, "speed", "rad/s")
+    for n in (3, 5, 10):
+        rungs = add(both, fitted, [robots[n]], WHEEL, *side("L"))
+        ladder(f"regbot, free-run speed of robot {n:02d} alone", rungs, "speed", "rad/s")
     rungs = add(both, fitted, judge, WHEEL, *side("L"), "--differing", "ke")
     ladder("regbot, the same, ke of each robot its own (blocks of time held out)", rungs, "speed", "rad/s")
 
