@@ -33,6 +33,8 @@ RELATIVE_SD = {
 MEASURED, FITTED, FORMER = "measured", "fitted to", 0.25
 # Nuisances are for small things: what would need more of them than this many standard deviations is something else.
 WITHIN = 4.0
+# The same for a channel that is sampled late: a quarter of a sample is its converter's, more is a lag of its sensor.
+LATE = 2.0
 # An ambient that was not recorded is a room's.
 AMBIENT_SD_K = 10.0
 
@@ -117,7 +119,8 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
 
 
 def _around(key: str, middle: float, width: float) -> Prior:
-    return Prior({key: middle}, {key: width}, {key: (middle - WITHIN * width, middle + WITHIN * width)})
+    reach = (LATE if key.startswith("skew.") else WITHIN) * width
+    return Prior({key: middle}, {key: width}, {key: (middle - reach, middle + reach)})
 
 
 def _first(run: Run, name: str) -> float:

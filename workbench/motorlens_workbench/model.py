@@ -26,6 +26,10 @@ from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
 
+# Relative error of the simulation: a hundredth of the noise of a good sensor. Noise on the voltage makes every sample a
+# transient of its own, and the next decade would cost twice the time.
+TOLERANCE = 1e-5
+
 
 @dataclass(frozen=True)
 class Model:
@@ -116,7 +120,9 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
     Raises:
         ModelError: the simulation cannot go on.
     """
-    trajectory = simulate(motor_of(model, run), inputs_of(model, run, r), start_of(model, r), smooth=True)
+    trajectory = simulate(
+        motor_of(model, run), inputs_of(model, run, r), start_of(model, r), tolerance=TOLERANCE, smooth=True
+    )
     return trajectory, shown(model, run, r, _stack(run, trajectory))
 
 
@@ -168,7 +174,9 @@ def sensitivities_of(
         if ("@" not in key and not _is_sensor(model, key) and not key.startswith((*turned, *absent)))
         or name.startswith("initial.")
     )
-    trajectory, derivative, linear = linearise_and_differentiate(motor, inputs, start, of_motor, smooth=True)
+    trajectory, derivative, linear = linearise_and_differentiate(
+        motor, inputs, start, of_motor, tolerance=TOLERANCE, smooth=True
+    )
     y = _stack(run, trajectory)
     columns = np.zeros((len(y), len(run.channels), len(keys)))
     outside = [

@@ -19,6 +19,7 @@ from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 from motorlens_workbench.fitting import Fit, usable
 from motorlens_workbench.lasting import Lasting
 from motorlens_workbench.model import (
+    TOLERANCE,
     Model,
     inputs_of,
     motor_of,
@@ -79,7 +80,11 @@ class Line:
     def of(cls, model: Model, run: Run, r: int) -> "Line":
         """Linearise the model along a run."""
         trajectory, linearisation = linearise(
-            motor_of(model, run), inputs_of(model, run, r), start_of(model, r), smooth=True
+            motor_of(model, run),
+            inputs_of(model, run, r),
+            start_of(model, r),
+            tolerance=TOLERANCE,
+            smooth=True,
         )
         return cls.along(model, run, r, trajectory, linearisation)
 

@@ -23,9 +23,8 @@ SAME = 0.9995
 GROUP = 6
 # A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
 BETTER = 0.15
-# Share of the whitened sum of squares that a curve must explain where nothing was named, and standard deviations that it must
-# be beyond chance: without a name, more is asked.
-UNNAMED, CLEARLY = 5e-3, 16.0
+# Share of the whitened sum of squares that a curve must explain where nothing was named: without a name, more is asked.
+UNNAMED = 5e-3
 # What BETTER is where as many effects as may be were named already, and what a single curve may explain from the start, over
 # all that was named.
 AFTER_ALL, INSTEAD = 0.05, 1.25
@@ -119,9 +118,9 @@ def structure(found: Finding) -> Bend | None:
         instead = len(found.steps) > 1 and found.left and found.whole[0].gain > INSTEAD * gain
         if instead or unsettled(found.last, found.runs):
             return found.whole[0]
-    worth, clear = (WORTH, 0.0) if found.steps else (UNNAMED, CLEARLY)
+    worth = (WORTH if found.steps else UNNAMED) * found.last.samples
     for bend in found.left:
-        if bend.gain > max(worth * found.last.samples, share * gain) and bend.deviations > clear:
+        if bend.gain > max(worth, share * gain):
             return bend
     return None
 
