@@ -1,7 +1,7 @@
 """Where the shaft stood: what goes with its angle is drowned if the angle is a simulated one, which drifts by whole teeth.
 
-Where no angle was recorded it is the integral of the speed, and the speed is the simulated one and what of the measured
-error is not its sensor's noise: a measured speed alone would let the noise walk away with the angle.
+Where no angle was recorded it is the integral of the speed, and the speed is the simulated one and as much of the measured
+error as is not its sensor's noise: the noise of a measured speed would walk away with the angle.
 """
 
 from dataclasses import replace
@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.denoise import smoothed
+from motorlens_workbench.denoise import noise_sd, smoothed
 from motorlens_workbench.run import STATE_OF, Run, Shaft
 
 Array = NDArray[np.float64]
+
+# Samples in a piece whose mean tells slow errors from noise, and how much louder than noise's the means must be.
+PIECE, LOUDER = 256, 2.0
 
 
 def followed(run: Run, trajectory: Trajectory, shown: Array) -> Run:
@@ -28,9 +31,26 @@ def followed(run: Run, trajectory: Trajectory, shown: Array) -> Run:
         return run
     state = dict(trajectory.states)
     for k, channel in enumerate(run.channels):
-        state[STATE_OF[channel]] = trajectory.states[STATE_OF[channel]] + smoothed(
-            run.measured[:, k] - shown[:, k]
+        error = run.measured[:, k] - shown[:, k]
+        state[STATE_OF[channel]] = trajectory.states[STATE_OF[channel]] + lasting_share(error) * smoothed(
+            error
         )
     w, time = state["w"], run.inputs.time_s
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(time))])
     return replace(run, shaft=Shaft(turned if run.angle is None else run.angle, w, state["i"]))
+
+
+def lasting_share(error: Array) -> float:
+    """How much of the slow part of an error (N,) to follow: none if white noise would leave as much, all if far less.
+
+    >>> rng = np.random.default_rng(0)
+    >>> noise, slow = rng.standard_normal(10_000), np.sin(np.arange(10_000) / 1000)
+    >>> lasting_share(noise), round(lasting_share(noise + slow), 2)
+    (0.0, 0.98)
+    """
+    pieces = len(error) // PIECE
+    if pieces < 4:
+        return 1.0
+    means = error[: pieces * PIECE].reshape(pieces, PIECE).mean(axis=1)
+    of_noise = noise_sd(error) ** 2 / PIECE
+    return float(np.clip(1 - LOUDER * of_noise / max(float(np.mean(means**2)), 1e-300), 0.0, 1.0))
