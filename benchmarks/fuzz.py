@@ -1,8 +1,8 @@
 """Fuzz everything that reads bytes from a line: frames, link and every dialect; a million inputs, in two ways.
 
-1. Guided by coverage (nine of ten): inputs are grown from a few sound messages by mutation; one that reaches a line of
-   code no input reached before joins those that are mutated (the principle of AFL).
-2. By hypothesis (one of ten): pieces of sound messages, of what a text line may hold and of anything, in any order.
+1. Guided by coverage (nineteen of twenty): inputs are grown from a few sound messages by mutation; one that reaches a line
+   of code no input reached before joins those that are mutated (the principle of AFL).
+2. By hypothesis (one of twenty): pieces of sound messages, of what a text line may hold and of anything, in any order.
 
 Checked of each: no exception, time that never runs backwards, a bounded memory.
 
@@ -10,6 +10,7 @@ Checked of each: no exception, time that never runs backwards, a bounded memory.
 """
 
 import argparse
+import copy
 import random
 import struct
 import sys
@@ -75,14 +76,21 @@ def subjects(folder: Path) -> dict[str, tuple[Callable[[], Dialect], list[bytes]
         (folder / f"{checksum}.toml").write_text(RECORD.format(checksum=checksum))
     values = packet(struct.pack(">Bhhiiiihih", 4, 300, 400, 1200, 5, 0, 0, -500, 3000, 240))
     rows = struct.pack("<2sIfh", b"\xaa\x55", 1000, 12.0, 800)
+    binary = {name: {"file": str(folder / f"{name}.toml")} for name in ("none", "crc16_modbus")}
     return {
         "frames": (Link, [hello()]),
-        "text": (lambda: make_dialect("text"), [b"t[s],v[V],i[A]\n0,12,1\n", b'{"t":0,"v":1,"i":2}\n', b"v:1 i:2\n"]),
-        "vesc": (lambda: make_dialect("vesc"), [values, packet(bytes.fromhex("3200000144") + bytes(8))]),
-        "roboclaw": (lambda: make_dialect("roboclaw", {"poll_Hz": "0"}), [bytes.fromhex("00f0") + bytes(10)]),
-        "binary": (lambda: make_dialect("binary", {"file": str(folder / "crc16_modbus.toml")}), [rows * 3]),
-        "binary, no checksum": (lambda: make_dialect("binary", {"file": str(folder / "none.toml")}), [rows * 3]),
-    }  # fmt: skip
+        "text": (fresh("text"), [b"t[s],v[V],i[A]\n0,12,1\n", b'{"t":0,"v":1,"i":2}\n', b"v:1 i:2\n"]),
+        "vesc": (fresh("vesc"), [values, packet(bytes.fromhex("3200000144") + bytes(8))]),
+        "roboclaw": (fresh("roboclaw", {"poll_Hz": "0"}), [bytes.fromhex("00f0") + bytes(10)]),
+        "binary": (fresh("binary", binary["crc16_modbus"]), [rows * 3]),
+        "binary, no checksum": (fresh("binary", binary["none"]), [rows * 3]),
+    }
+
+
+def fresh(name: str, options: dict[str, str] | None = None) -> Callable[[], Dialect]:
+    """Makes a dialect, in a fraction of the time that reading its options takes."""
+    made = make_dialect(name, options)
+    return lambda: copy.deepcopy(made)
 
 
 def mutate(data: bytes, corpus: list[bytes], rng: random.Random) -> bytes:
@@ -241,8 +249,8 @@ def main() -> int:
         for name, (make, messages) in found.items():
             if arguments.only not in (None, name):
                 continue
-            share = -(-total // (10 * len(found)))
-            for by, fuzz, inputs in (("coverage", guided, 9 * share), ("hypothesis", imagined, share)):
+            share = -(-total // (20 * len(found)))
+            for by, fuzz, inputs in (("coverage", guided, 19 * share), ("hypothesis", imagined, share)):
                 started = time.process_time()
                 failed, said = fuzz(make, messages, inputs, arguments.seed)
                 rate = inputs / (time.process_time() - started)
