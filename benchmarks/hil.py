@@ -128,7 +128,8 @@ def device(rate: int, n: int, seconds: float, stamps: str) -> int:
         time.sleep(max(0.0, start + (k + 1) * n / rate - time.monotonic()))
         sent[k] = time.monotonic_ns()
         while data:
-            if not writable.poll(5000):
+            events = writable.poll(5000)
+            if not events or events[0][1] & select.POLLHUP:
                 return 1  # nobody reads any more
             with suppress(BlockingIOError):  # poll says so even where only a part of it fits
                 data = data[os.write(master, data) :]

@@ -170,8 +170,9 @@ def evaluations(path: str) -> None:
     batch = np.random.default_rng(0).normal(size=(4096 // TILE, features, TILE))
     for backend in (sensor.backend, sensor.checker):
         if backend is not None:
-            call = best(lambda evaluate=backend.evaluate: [evaluate(tile) for _ in range(2000)]) / 2000
-            many = best(lambda evaluate=backend.evaluate: [evaluate(batch) for _ in range(20)]) / 20
+            # Short runs, and many: on a machine that others use, some of them go undisturbed.
+            call = best(lambda evaluate=backend.evaluate: [evaluate(tile) for _ in range(50)], 400) / 50
+            many = best(lambda evaluate=backend.evaluate: evaluate(batch), 200)
             print(
                 f"network, {backend.name}: {1e6 * call:.1f} us a hot call of {TILE} rows, "
                 f"{4.096e-3 / many:.1f} million rows/s in tiles of {TILE}"

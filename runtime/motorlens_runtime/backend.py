@@ -85,7 +85,8 @@ class NumpyBackend:
 
     def __init__(self, model: OnnxFile, features: int, where: str) -> None:
         self._plan = _planned(model, features, where)
-        self._memory = [np.ones((_AT_ONCE, rows, TILE)) for rows in self._plan.rows]
+        # As much as the largest call so far needed: a live line takes a tile at a time, and several sensors may be loaded.
+        self._memory: list[Array] = []
         self._spaces: dict[int, _Space] = {}
 
     def evaluate(self, features: Array) -> tuple[Array, Array]:
@@ -106,11 +107,17 @@ class NumpyBackend:
     def _run(self, features: Array) -> tuple[Array, Array]:
         space = self._spaces.get(len(features))
         if space is None:
-            space = self._spaces[len(features)] = _Space(self._plan, self._memory, len(features))
+            space = self._space_of(len(features))
         np.copyto(space.features, features)
         for call, arguments, out in space.calls:
             call(*arguments, out=out)
         return space.estimate, space.sigma
+
+    def _space_of(self, tiles: int) -> "_Space":
+        if not self._memory or len(self._memory[0]) < tiles:
+            self._memory, self._spaces = [np.ones((tiles, rows, TILE)) for rows in self._plan.rows], {}
+        space = self._spaces[tiles] = _Space(self._plan, self._memory, tiles)
+        return space
 
 
 @dataclass(frozen=True)

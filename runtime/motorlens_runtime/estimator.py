@@ -71,6 +71,8 @@ class Estimator:
         self._mean = None if envelope.mean is None else np.repeat(envelope.mean[:, None], TILE, axis=1)
         if envelope.cholesky is not None:
             self._whitening, self._limit = np.ascontiguousarray(envelope.cholesky.T), envelope.limit
+            # Where a live line's tile becomes its distance from the mean.
+            self._apart, self._whitened = (np.empty((n, TILE)) for n in self._whitening.shape[::-1])
         # The tile that a live line fills; what stands in other columns than those asked for does not matter.
         self._tile = np.zeros((1, len(sensor.specification.features), TILE))
 
@@ -88,7 +90,7 @@ class Estimator:
         mismatch = state.mismatch
         values, sigma, outside, disagree = self._evaluate(features, state.bank.count, rows)
         time_ns, quality = samples.time_ns, gated.quality
-        if rows is not None:
+        if rows is not None and len(rows) != len(samples):
             time_ns, quality = time_ns[rows], quality[rows]
         if any(outside.tolist()):
             mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
@@ -160,7 +162,8 @@ class Estimator:
         if self._mean is None:
             return np.zeros(len(tiles) * TILE, dtype=bool)
         if len(tiles) == 1:
-            return self._beyond(np.dot(self._whitening, tiles[0] - self._mean))
+            apart = np.subtract(tiles[0], self._mean, out=self._apart)
+            return self._beyond(np.dot(self._whitening, apart, out=self._whitened))
         outside = np.empty((len(tiles), TILE), dtype=bool)
         for start in range(0, len(tiles), _TILES_AT_ONCE):
             part = slice(start, start + _TILES_AT_ONCE)

@@ -34,6 +34,7 @@ class FeatureMap:
         self._first, self._second = (
             np.array([_MEASURED.index(pair[k]) for pair in factors], dtype=np.intp) for k in (0, 1)
         )
+        self._pairs = list(zip(self._first.tolist(), self._second.tolist(), strict=True))
         self._resistance_ohm = specification.resistance_ohm
         first = len(filters)
         self.uses_signals = any(feature.signal for feature in features)
@@ -47,11 +48,17 @@ class FeatureMap:
             else:
                 pairs.append(feature.filters)
         self._plus = np.array([pair[0] for pair in pairs], dtype=np.intp)
-        self._differences = [(k, pair[1]) for k, pair in enumerate(pairs) if len(pair) > 1]
+        self._differences = _stretches([(k, pair[1]) for k, pair in enumerate(pairs) if len(pair) > 1])
 
     def signals(self, channels: Channels) -> Array:
         """The signals (U, n) of n samples."""
         voltage, current = channels.voltage_V, channels.current_A
+        if len(voltage) == 1:
+            # The same operations in plain numbers, which are faster for a sample alone.
+            volts, amperes = voltage.item(), current.item()
+            ambient_C = 0.0 if channels.ambient_C is None else channels.ambient_C.item()
+            alone = 1.0, volts, amperes, volts - self._resistance_ohm * amperes, ambient_C
+            return np.array([[alone[first] * alone[second]] for first, second in self._pairs])
         measured = np.empty((len(_MEASURED), len(voltage)))
         measured[0], measured[1], measured[2] = 1.0, voltage, current
         # Back-EMF with the winding taken as cold.
@@ -67,9 +74,21 @@ class FeatureMap:
         parts = [part for part in (filtered, signals, observed) if part is not None]
         columns = filtered if len(parts) == 1 else np.concatenate(parts)
         features = columns.take(self._plus, axis=0)
-        for row, minus in self._differences:
-            features[row] -= columns[minus]
+        for rows, minus in self._differences:
+            features[rows] -= columns[minus]
         return features
+
+
+def _stretches(pairs: list[tuple[int, int]]) -> list[tuple[slice, slice]]:
+    """Pairs of rows as pairs of slices, as long as both count up."""
+    stretches: list[tuple[slice, slice]] = []
+    for row, minus in pairs:
+        rows, before = stretches[-1] if stretches else (slice(0, -1), slice(0, -1))
+        if (rows.stop, before.stop) == (row, minus):
+            stretches[-1] = slice(rows.start, row + 1), slice(before.start, minus + 1)
+        else:
+            stretches.append((slice(row, row + 1), slice(minus, minus + 1)))
+    return stretches
 
 
 _MEASURED = ("one", "voltage", "current", "emf", "ambient")

@@ -132,19 +132,19 @@ class Gate:
         mark(quality, ~used, Quality.BRIDGED)
         mark(quality, finite & ~used, Quality.OUTSIDE_ENVELOPE)
 
-        # The last good sample at or before each one; -1 is the one remembered from before.
-        good = np.maximum.accumulate(np.where(used, np.arange(n), -1))
+        # The last good sample at or before each one; -1 is the one remembered from before. None: each is its own.
+        good = None if used.all() else np.maximum.accumulate(np.where(used, np.arange(n), -1))
         voltage = _held(samples.voltage_V, good, state.voltage_V)
         current = _held(samples.current_A, good, state.current_A)
         ambient = None if samples.ambient_C is None else _held(samples.ambient_C, good, state.ambient_C)
-        dt_ns, first_ns = self._steps(state, time_ns, used, good)
+        dt_ns, first_ns = self._steps(state, time_ns, used)
         self._judge_time(state, time_ns, dt_ns, used, first_ns, quality)
         self._judge_range(voltage, current, used, quality)
         self._judge_slew(state, current, dt_ns, quality)
         new = self._judge_stuck(state, voltage, current, quality)
         until = self._bridge(state, time_ns, dt_ns, quality)
-        if n and good[-1] >= 0:
-            last = int(good[-1])
+        last = n - 1 if good is None else int(good[-1])
+        if last >= 0:
             new = replace(
                 new, last_ns=int(time_ns[last]), voltage_V=float(voltage[-1]), current_A=float(current[-1]),
                 ambient_C=0.0 if ambient is None else float(ambient[-1]),
@@ -220,19 +220,18 @@ class Gate:
         )
 
     def _steps(
-        self, state: GateState, time_ns: NDArray[np.int64], used: NDArray[np.bool_], good: NDArray[np.intp]
+        self, state: GateState, time_ns: NDArray[np.int64], used: NDArray[np.bool_]
     ) -> tuple[NDArray[np.int64], int | None]:
         """Time of each used sample since the used one before it (the very first: the nominal period), and the first time."""
+        times_ns, first_ns = time_ns[used], state.first_ns
         dt_ns = np.zeros(len(time_ns), dtype=np.int64)
-        index = np.flatnonzero(used)
-        first_ns = state.first_ns
-        if len(index):
+        if len(times_ns):
             if state.last_ns is None:
-                first_ns = int(time_ns[index[0]])
+                first_ns = int(times_ns[0])
                 before = first_ns - self._specification.first_dt_ns
             else:
                 before = state.last_ns
-            dt_ns[index] = np.diff(time_ns[index], prepend=before)
+            dt_ns[used] = np.diff(times_ns, prepend=before)
         if (dt_ns < 0).any():
             raise DataError(f"time runs backwards at {time_ns[int(np.argmax(dt_ns < 0))] * 1e-9:.6f} s")
         return dt_ns, first_ns
@@ -318,5 +317,5 @@ class Gate:
         return int(until[-1])
 
 
-def _held(values: Array, good: NDArray[np.intp], before: float) -> Array:
-    return np.where(good >= 0, values[good], before) if len(values) else values
+def _held(values: Array, good: NDArray[np.intp] | None, before: float) -> Array:
+    return values if good is None else np.where(good >= 0, values[good], before)

@@ -54,7 +54,8 @@ def ahead(items: Iterable[T]) -> Iterator[T]:
 
 
 class Behind:
-    """A publisher whose work is done in a thread. What it raises is raised by the next call, or by `close`."""
+    """A publisher whose work is done in a thread. The first thing it raises is raised by the next call, or by `close`; after
+    that nothing more is written, whatever waits."""
 
     def __init__(self, publisher: Publisher) -> None:
         self._publisher = publisher
@@ -79,12 +80,13 @@ class Behind:
         self._raise()
 
     def _work(self) -> None:
+        failed = False  # `_error` cannot tell: it is taken out where it is raised
         while (estimates := self._queue.get()) is not None:
-            if self._error is None:
+            if not failed:
                 try:
                     self._publisher.publish(estimates)
                 except Exception as error:  # raised again where rows are handed over
-                    self._error = error
+                    self._error, failed = error, True
 
     def _raise(self) -> None:
         if self._error is not None:

@@ -2,8 +2,9 @@
 
 The thread that calls it is pinned to one processor and scheduled first in, first out (sched(7)), above everything ordinary.
 It waits for data and never spins, so that it stays below the share of a processor that the kernel grants real-time tasks
-before it stops them. Memory is locked as it is touched, so that nothing waits for the disk. The garbage collector runs only
-between two blocks, and over what has been made since the start. Threads and processes begun later are ordinary ones.
+before it stops them. Processors are asked not to sleep so deeply between two frames that waking takes long, memory is locked
+as it is touched, so that nothing waits for the disk. The garbage collector runs only between two blocks, and over what has
+been made since the start. Threads and processes begun later are ordinary ones.
 """
 
 import ctypes
@@ -20,6 +21,9 @@ _COLLECT_EVERY_NS = 10_000_000_000
 # How long a publisher may keep the interpreter from the hot loop.
 _SWITCH_S = 2e-4
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+# As long as it is open, the kernel's idle states keep to the microseconds of wake-up time that were written to it, an int32
+# (Documentation/power/pm_qos_interface.rst in the kernel's sources).
+CPU_DMA_LATENCY = "/dev/cpu_dma_latency"
 _THROTTLE = "/proc/sys/kernel/sched_rt_runtime_us", "/proc/sys/kernel/sched_rt_period_us"
 
 
@@ -32,8 +36,12 @@ class Granted:
 
 
 @contextmanager
-def realtime() -> Iterator[Granted]:
-    """Run the calling thread in real time as far as the system lets it, and ordinarily again after."""
+def realtime(cpu_dma_latency: str = CPU_DMA_LATENCY) -> Iterator[Granted]:
+    """Run the calling thread in real time as far as the system lets it, and ordinarily again after.
+
+    Args:
+        cpu_dma_latency: the file that keeps processors awake while it is open.
+    """
     processors, policy = os.sched_getaffinity(0), os.sched_getscheduler(0)
     priority, switch_s, collecting = os.sched_getparam(0), sys.getswitchinterval(), gc.isenabled()
     granted: list[str] = []
@@ -43,6 +51,12 @@ def realtime() -> Iterator[Granted]:
             granted.append(ask())
         except OSError as error:
             refused.append(f"{error.strerror or error}: {_REMEDIES[ask]}")
+    awake = None
+    try:
+        awake = _stay_awake(cpu_dma_latency)
+        granted.append("processors stay awake")
+    except OSError as error:
+        refused.append(f"{error.strerror or error}: {_REMEDIES[_stay_awake]}")
     sys.setswitchinterval(_SWITCH_S)
     gc.disable()
     try:
@@ -51,6 +65,8 @@ def realtime() -> Iterator[Granted]:
         if collecting:
             gc.enable()
         sys.setswitchinterval(switch_s)
+        if awake is not None:
+            os.close(awake)
         _libc().munlockall()
         with suppress(OSError):  # refused now, it was refused before
             os.sched_setscheduler(0, policy & ~os.SCHED_RESET_ON_FORK, priority)
@@ -98,10 +114,22 @@ def _lock_memory() -> str:
     return "memory locked"
 
 
-_REMEDIES = {
+def _stay_awake(path: str) -> int:
+    """The open file that asks for a wake-up time of zero."""
+    file = os.open(path, os.O_WRONLY | os.O_CLOEXEC)
+    try:
+        os.write(file, (0).to_bytes(4, sys.byteorder))
+    except OSError:
+        os.close(file)
+        raise
+    return file
+
+
+_REMEDIES: dict[Callable[..., object], str] = {
     _pin: "not pinned to one processor",
     _first_in_first_out: f"no real-time priority; LimitRTPRIO={PRIORITY} in the unit, or `ulimit -r {PRIORITY}`, allows it",
     _lock_memory: "memory not locked; LimitMEMLOCK=infinity in the unit, or `ulimit -l unlimited`, allows it",
+    _stay_awake: f"processors may sleep deeply; write access to {CPU_DMA_LATENCY} (udev rule of the bundle) allows it",
 }
 
 

@@ -52,12 +52,12 @@ def test_nine_digits_of_any_float(values):
 
 def test_nine_digits_of_very_many():
     rng = np.random.default_rng(0)
-    sizes = 10.0 ** rng.uniform(-7, 11, 200_000) * rng.choice([-1, 1], 200_000)
+    sizes = 10.0 ** rng.uniform(-15, 11, 200_000) * rng.choice([-1, 1], 200_000)
     edges = np.array(
         [
             float(f"{m}e{e}")
             for m in (1, 5, 9.99999999, 9.999999995, 1.000000005, 123.456)
-            for e in range(-9, 12)
+            for e in range(-15, 12)
         ]
     )
     ties = (rng.integers(10**8, 10**9, 2000) + 0.5) / 2.0 ** rng.integers(0, 20, 2000)

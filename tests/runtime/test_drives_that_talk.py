@@ -5,6 +5,7 @@ import os
 import select
 import struct
 import threading
+import time
 import tty
 from pathlib import Path
 
@@ -47,30 +48,32 @@ def roboclaw(question, turn):
 
 
 class Drive:
-    """Answers in a thread of its own; every `deaf_every`-th question is not heard."""
+    """Answers in a thread of its own, one question after another even where several have gathered."""
 
-    def __init__(self, answer, deaf_every=0):
+    def __init__(self, answer, length):
         self._ours, self.theirs = os.openpty()
         tty.setraw(self._ours)
         tty.setraw(self.theirs)
         self.port = os.ttyname(self.theirs)
-        self.questions = self.answers = self.misunderstood = 0
-        self._answer, self._deaf_every = answer, deaf_every
+        self.answers = self.misunderstood = 0
+        self._answer, self._length = answer, length
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work)
         self._thread.start()
 
     def _work(self):
+        heard = b""
         while not self._stop.is_set():
             if not select.select([self._ours], [], [], 0.02)[0]:
                 continue
-            reply = self._answer(os.read(self._ours, 100), self.questions)
-            self.questions += 1
-            if reply is None:
-                self.misunderstood += 1
-            elif not self._deaf_every or self.questions % self._deaf_every:
-                os.write(self._ours, reply)
-                self.answers += 1
+            heard += os.read(self._ours, 100)
+            while len(heard) >= self._length:
+                reply, heard = self._answer(heard[: self._length], self.answers), heard[self._length :]
+                if reply is None:
+                    self.misunderstood += 1
+                else:
+                    os.write(self._ours, reply)
+                    self.answers += 1
 
     def close(self):
         self._stop.set()
@@ -79,30 +82,97 @@ class Drive:
         os.close(self.theirs)
 
 
-@pytest.mark.parametrize(("answer", "name", "each"), [(vesc, "vesc", 1), (roboclaw, "roboclaw", 3)])
-@pytest.mark.parametrize("deaf_every", [0, 40])
-def test_a_drive_that_must_be_asked_is_asked_and_followed(
-    tmp_path, monkeypatch, answer, name, each, deaf_every
-):
+def voltage_of(name):
+    return pytest.approx(12.0 if name == "vesc" else 24 * 16384 / 32767)
+
+
+@pytest.mark.parametrize(
+    ("answer", "name", "length", "each"), [(vesc, "vesc", 10, 1), (roboclaw, "roboclaw", 2, 3)]
+)
+def test_a_drive_that_must_be_asked_is_asked_and_followed(tmp_path, monkeypatch, answer, name, length, each):
+    """On a real line, where a busy machine decides how many answers come in time."""
     monkeypatch.chdir(tmp_path)
     write_sensor("s.onnx", rate_Hz=100.0)
-    drive = Drive(answer, deaf_every)
+    drive = Drive(answer, length)
     try:
         source = f"pty://{drive.port}?dialect={name}&poll_Hz=100"
         options = ["--record", "rec.csv", "--publish", "csv:out.csv", "--json", "r.json", "--duration", "2"]
         assert main(["run", "--source", source, "--sensor", "s.onnx", *options]) == 0
     finally:
         drive.close()
-    report = json.loads(Path("r.json").read_text())
     assert drive.misunderstood == 0
-    # Each complete round of answers is a sample; a round that lost one, and the last, may be none.
-    lost_rounds = drive.questions - drive.answers + 1
-    assert drive.answers // each - lost_rounds <= report["samples"] <= drive.answers // each
-    assert report["samples"] > 40
+    assert 0 < json.loads(Path("r.json").read_text())["samples"] <= drive.answers // each
     time_s, voltage, current, _ = np.loadtxt("rec.csv", delimiter=",", skiprows=1).T
-    assert voltage == pytest.approx(12.0 if name == "vesc" else 24 * 16384 / 32767)
+    assert voltage == voltage_of(name)
     assert current == pytest.approx(3.0)
     assert (np.diff(time_s) > 0).all()
+
+
+class MadeUpTime:
+    """A drive as a source, and the only thing that lets time pass: an answer takes 1 ms, silence as long as is waited.
+
+    Every `deaf_every`-th question is not heard. `rounds` of `each` answers in a row have been given.
+    """
+
+    name, lasting = "drive", False
+    process_time = staticmethod(time.process_time)
+
+    def __init__(self, answer, each, deaf_every):
+        self._answer, self._each, self._deaf_every = answer, each, deaf_every
+        self._now_ns, self._replies, self._row = 0, [], 0
+        self.questions = self.rounds = 0
+
+    def monotonic_ns(self):
+        return self._now_ns
+
+    def write(self, data):
+        reply = self._answer(data, self.questions)
+        assert reply is not None
+        self.questions += 1
+        if self._deaf_every and self.questions % self._deaf_every == 0:
+            self._row = 0
+            return
+        self._replies.append(reply)
+        self._row += 1
+        if self._row == self._each:
+            self._row, self.rounds = 0, self.rounds + 1
+
+    def read(self, timeout_s):
+        if self._replies:
+            self._now_ns += MS
+            return self._replies.pop(0)
+        self._now_ns += max(round(timeout_s * 1e9), 1)
+        return b""
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("answer", "name", "each", "given_up"), [(vesc, "vesc", 1, 10), (roboclaw, "roboclaw", 3, 3)]
+)
+@pytest.mark.parametrize("deaf_every", [0, 40])
+def test_each_complete_round_of_answers_is_a_sample(
+    tmp_path, monkeypatch, answer, name, each, given_up, deaf_every
+):
+    """`given_up` is how many rounds of 10 ms pass until a question that was not heard is given up, and its round with it."""
+    monkeypatch.chdir(tmp_path)
+    write_sensor("s.onnx", rate_Hz=100.0)
+    drive = MadeUpTime(answer, each, deaf_every)
+    monkeypatch.setattr("motorlens_runtime.feed.open_source", lambda parts, options: drive)
+    monkeypatch.setattr("motorlens_runtime.live.time", drive)
+    source = f"tcp://127.0.0.1:1?dialect={name}&poll_Hz=100"
+    options = ["--record", "rec.csv", "--publish", "csv:out.csv", "--json", "r.json", "--duration", "2"]
+    assert main(["run", "--source", source, "--sensor", "s.onnx", *options]) == 0
+    assert json.loads(Path("r.json").read_text())["samples"] == drive.rounds
+    time_s, voltage, current, _ = np.loadtxt("rec.csv", delimiter=",", skiprows=1).T
+    assert len(time_s) == drive.rounds
+    assert voltage == voltage_of(name)
+    assert current == pytest.approx(3.0)
+    deaf = drive.questions // deaf_every if deaf_every else 0
+    assert 200 - (given_up + 1) * deaf - 1 <= drive.rounds <= 200 - (given_up - 1) * deaf + 1
+    gaps = np.diff(time_s)
+    assert (gaps > 0.005).all() and (gaps > 0.015).sum() == pytest.approx(deaf, abs=1)
 
 
 class Recorded:

@@ -1,5 +1,7 @@
 """The folded graph against ONNX Runtime on the graph as it is, operation by operation and in random mixtures."""
 
+import tracemalloc
+
 import numpy as np
 import onnx
 import onnxruntime as ort
@@ -132,6 +134,25 @@ def test_softplus():
 
 def test_many_tiles_are_the_bits_of_few():
     compare(["Gemm", "Tanh", "Concat", "Sigmoid"], rows=200 * TILE)
+
+
+def test_memory_is_what_the_largest_call_needs():
+    """Several sensors may be loaded at a time, and a live line gives them a tile at a time."""
+    model = parse(graph(["Gemm", "Tanh", "Concat", "Sigmoid"]), "g")
+    tiles = np.random.default_rng(0).normal(size=(64, FEATURES, TILE))
+    tracemalloc.start()
+    try:
+        backend = NumpyBackend(model, FEATURES, "g")
+        first = backend.evaluate(tiles[:1])[0]
+        of_one = tracemalloc.get_traced_memory()[0]
+        backend.evaluate(tiles)
+        of_many = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    # A tile has 31 columns and 15 rows of products of 16 float64 each; the plan and what Python needs for it are 70 kB.
+    assert 46 * TILE * 8 < of_one < 120_000
+    assert 64 * 46 * TILE * 8 < of_many - of_one + 46 * TILE * 8 < 1.1 * 64 * 46 * TILE * 8
+    assert np.array_equal(backend.evaluate(tiles[:1])[0], first)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from functools import partial
 
 import pytest
 
@@ -85,6 +86,18 @@ def test_an_error_of_the_writer_is_raised_and_the_file_closed():
             time.sleep(0.001)
     behind.close()
     assert writer.rows == [0, 1, 2] and writer.closed and settled()
+
+
+def test_an_error_is_raised_once_and_nothing_is_written_after_it():
+    """Rows that waited, or are handed over all the same, would fail again, in `close` of all places."""
+    writer, raised = Writer(fails_at=0), 0
+    behind = Behind(writer)
+    for hand_over in [partial(behind.publish, k) for k in range(50)] + [behind.close]:
+        try:
+            hand_over()
+        except OSError:
+            raised += 1
+    assert raised == 1 and writer.rows == [] and writer.closed and settled()
 
 
 def test_an_error_at_the_last_rows_is_raised_by_close():

@@ -21,7 +21,7 @@ def profile():
 def test_all_is_as_before_afterwards():
     before = profile()
     with pytest.raises(KeyError), realtime() as answer:
-        assert len(answer.granted) + len(answer.refused) == 3
+        assert len(answer.granted) + len(answer.refused) == 4
         assert not gc.isenabled()
         raise KeyError
     assert profile() == before
@@ -34,10 +34,33 @@ def test_what_is_refused_is_said_with_what_allows_it(monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(os, "sched_setscheduler", refuse)
         patched.setattr("motorlens_runtime.realtime._libc", lambda: Refusing())
-        with realtime() as answer:
+        with realtime("/nowhere/cpu_dma_latency") as answer:
             assert len(answer.granted) == 1
             assert "LimitRTPRIO=40" in answer.refused[0] and "ulimit -r" in answer.refused[0]
             assert "LimitMEMLOCK=infinity" in answer.refused[1]
+            assert "sleep" in answer.refused[2] and "udev rule" in answer.refused[2]
+
+
+def open_files():
+    return {os.path.realpath(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd")}
+
+
+def test_processors_are_kept_awake_as_long_as_it_runs(tmp_path):
+    """The file has its say as long as it is open, and only then; an int32 of zero microseconds."""
+    file = tmp_path / "cpu_dma_latency"
+    file.touch()
+    with pytest.raises(KeyError), realtime(str(file)) as answer:
+        assert str(file) in open_files()
+        assert answer.granted[-1] == "processors stay awake"
+        raise KeyError
+    assert str(file) not in open_files()
+    assert file.read_bytes() == b"\0\0\0\0"
+
+
+def test_a_kernel_that_does_not_take_it_is_no_reason_to_stop():
+    with realtime("/dev/full") as answer:
+        assert "No space left on device: processors may sleep" in answer.refused[-1]
+        assert "/dev/full" not in open_files()
 
 
 class Refusing:

@@ -47,6 +47,7 @@ if [ "$service" = yes ]; then
     sed -e "s|@PREFIX@|$prefix|g" -e "s|@ETC@|$etc|g" "$here/motorlens.service" >/etc/systemd/system/motorlens.service
     cp "$here/99-motorlens.rules" /etc/udev/rules.d/99-motorlens.rules
     udevadm control --reload 2>/dev/null || true
+    udevadm trigger --sysname-match=cpu_dma_latency 2>/dev/null || true  # it is there already, unlike a drive
     systemctl daemon-reload
     systemctl enable --now motorlens.service
     echo "motorlens runs as a service: systemctl status motorlens, settings in $etc/motorlens.env"

@@ -73,7 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--realtime",
         action="store_true",
-        help="real-time priority, one processor, locked memory; says what the system refused",
+        help="real-time priority, one processor that stays awake, locked memory; says what the system refused",
     )
     parser.add_argument(
         "--backend", choices=("auto", "onnxruntime", "numpy"), default="auto", help="default: auto"

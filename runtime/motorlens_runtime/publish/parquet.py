@@ -97,11 +97,11 @@ class ParquetPublisher:
     def _write(self) -> None:
         if not self._rows:
             return
-        time_s = np.concatenate([e.time_ns for e in self._waiting]) / 1e9
-        pairs = np.concatenate(
-            [np.stack((e.values, e.sigma), axis=2).reshape(len(e), -1) for e in self._waiting]
-        )
-        quality = np.concatenate([e.quality for e in self._waiting])
-        arrays = [time_s, *np.ascontiguousarray(pairs.T), quality]
+        waiting = self._waiting
+        arrays = [np.concatenate([e.time_ns for e in waiting]) / 1e9]
+        for output in range(waiting[0].values.shape[1]):
+            arrays.append(np.concatenate([e.values[:, output] for e in waiting]))
+            arrays.append(np.concatenate([e.sigma[:, output] for e in waiting]))
+        arrays.append(np.concatenate([e.quality for e in waiting]))
         self._writer.write_table(pa.table([arrow_of(array) for array in arrays], schema=self._schema))
         self._waiting, self._rows = [], 0
