@@ -48,4 +48,6 @@ def main(folder: Path, seed: int) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) not in (2, 3):
+        raise SystemExit("usage: make_recordings.py FOLDER [SEED]")
     main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
