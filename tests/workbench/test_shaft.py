@@ -1,21 +1,28 @@
 """What goes with the shaft angle: samples of it against an integration in full, and the angle where none was recorded."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from motorlens_physics.effect import catalogue
+from motorlens_physics.effect import Effect, State, catalogue
 from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.ops import cos, exp
+from motorlens_physics.parameter import param
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.candidates import between_samples, shaped
+from motorlens_workbench.candidates import shaped
+from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.fitting import start_model
+from motorlens_workbench.leftover import leftover
+from motorlens_workbench.look import look
 from motorlens_workbench.model import predict, with_effect
 from motorlens_workbench.run import prepare_all
-from motorlens_workbench.shaft import followed
+from motorlens_workbench.shaft import between_samples, followed
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -88,3 +95,40 @@ def test_what_the_ripple_changes_follows_from_the_shaft_as_followed(turning):
         expected, found = truth[500:, c], change[500:, c]
         assert np.std(found - expected) < 0.35 * np.std(expected)
         assert 0.85 < np.std(found) / np.std(expected) < 1.15
+
+
+@dataclass(frozen=True)
+class Rub(Effect):
+    """The rotor rubs at one place of the revolution, at 2 rad."""
+
+    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle")}
+    A: float = param(0.0, "N*m", "torque there", bounds=(0.0, 10.0), prior=1.0, null=0.0)
+
+    def torque(self, m: Any, x: Any, u: Any) -> Any:
+        return -self.A * exp(8.0 * (cos(x.phi - 2.0) - 1.0))
+
+    def rates(self, m: Any, x: Any, u: Any) -> Mapping[str, Any]:
+        return {"phi": x.w}
+
+
+def test_a_rub_at_one_angle_is_drawn_against_the_angle():
+    file = read_motor_file(MOTOR)
+    time = np.arange(10_000) * 0.002
+    rng = np.random.default_rng(1)
+    voltage = np.repeat(rng.uniform(20.0, 50.0, 10), 1000)
+    inputs = Inputs(time, voltage, np.full(len(time), 0.5), np.full(len(time), 20.0), held=True)
+    true = simulate(file.motor.with_effect(Rub(0.4)), inputs)
+    channels = {
+        "voltage": voltage, "load_torque": inputs.load_torque_Nm,
+        "current": true.current_A + 0.01 * rng.standard_normal(len(time)),
+        "speed": true.speed_rad_s + 0.1 * rng.standard_normal(len(time)),
+    }  # fmt: skip
+    found, runs = base_fit(file, prepare_all([Recording("rub", time, channels)], file))
+    now = look(found, runs)
+    bend = next(bend for bend in leftover(now.found, runs, now.decoy) if bend.curve.against == "angle")
+    course = bend.value - np.median(bend.value)
+    # Its mean over a revolution passes for friction; the pit at 2 rad is 0.4 N m deep.
+    assert abs(bend.knots[np.argmin(course)] - 2.0) < 0.3
+    assert -0.5 < course.min() < -0.3
+    away = np.abs(bend.knots - 2.0) > 1.2
+    assert np.abs(course[away]).max() < 0.1

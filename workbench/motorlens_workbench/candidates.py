@@ -20,6 +20,7 @@ from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
 from motorlens_physics.simulation import Trajectory
+from motorlens_workbench.shaft import between_samples
 
 Array = NDArray[np.float64]
 
@@ -213,28 +214,6 @@ def of_angle(effect: Effect, motor: Motor, x: Any, time_s: Array, *, held: bool)
     return Forcing(**parts, heat=_array(effect.heat(motor, x, None), len(advance)))
 
 
-def between_samples(advance: Array, lag: float, *, held: bool) -> NDArray[np.complex128]:
-    """(N,) factor for samples of a rotating phasor, so that a first-order lag answers as to the phasor itself.
-
-    The true answer over that of the sampled lag, 1 / (1 + j w T) over (b0 + b1 z) / (z - k) with z = exp(j w dt), where the
-    lag is driven by straight lines, or steps, between the samples (Franklin, Powell and Workman, Digital Control of Dynamic
-    Systems, 3rd ed., section 6.3). A pure integrator driven by lines wants tan(h) / h, h = w dt / 2.
-
-    Args:
-        advance: (N,) phase from one sample to the next, rad, w dt.
-        lag: time constant in samples, T / dt.
-        held: steps, not lines.
-
-    >>> abs(between_samples(np.array([0.5]), 1e6, held=False) - np.tan(0.25) / 0.25)[0] < 1e-5
-    True
-    """
-    keep = np.exp(-1 / lag)
-    later = 0.0 if held else 1 - lag * (1 - keep)
-    z = np.exp(1j * advance)
-    sampled = (1 - keep - later + later * z) / (z - keep)
-    return np.asarray(1 / (1 + 1j * advance * lag) / np.where(np.abs(sampled) > 1e-12, sampled, 1e-12))
-
-
 def inputs_at(trajectory: Trajectory) -> Any:
     """The inputs as effects read them."""
     i = trajectory.inputs
@@ -317,11 +296,13 @@ class Curve:
         """Names of the columns."""
         return [f"curve.{self.balance}.{self.against}.{k}" for k in range(len(self.knots))]
 
-    def forcing(self, trajectory: Trajectory, angle: Array) -> "Forcing":
-        """What a unit at each knot adds to the balances, (N, k) each; `angle` is the shaft's within a revolution."""
-        hats = hat_functions(
-            self.knots, angle if self.against == "angle" else variables(trajectory)[self.against]
-        )
+    def forcing(self, trajectory: Trajectory, angle: Array | None) -> "Forcing":
+        """What a unit at each knot adds to the balances, (N, k) each; `angle` is the shaft's (N,), where it is known."""
+        if self.against == "angle":
+            rows = len(trajectory.inputs.time_s)
+            hats = around(self.knots, angle) if angle is not None else np.zeros((rows, len(self.knots)))
+        else:
+            hats = hat_functions(self.knots, variables(trajectory)[self.against])
         still = np.zeros_like(hats)
         return Forcing(**{"voltage": still, "torque": still, "heat": still, self.balance: hats})
 
@@ -340,6 +321,17 @@ def hat_functions(knots: Array, z: Array) -> Array:
     out[rows, right - 1] = 1 - share
     out[rows, right] += share
     return out
+
+
+# Points at which hat functions of the shaft angle are taken within a sample.
+PHASES = 8
+
+
+def around(knots: Array, angle: Array) -> Array:
+    """(N, k) hat functions of the shaft angle (N,), rad, within a revolution, each the mean over its sample."""
+    turn = np.gradient(angle)
+    ways = [angle + ((k + 0.5) / PHASES - 0.5) * turn for k in range(PHASES)]
+    return np.asarray(sum(hat_functions(knots, np.mod(way, 2 * np.pi)) for way in ways) / PHASES)
 
 
 def knots_of(samples: Array, count: int) -> Array | None:

@@ -69,7 +69,7 @@ class Lasting:
         """Names of the columns, two a frequency."""
         return [f"curve.{self.balance}.{self.against}.{k}" for k in range(2 * len(self.frequencies_Hz))]
 
-    def forcing(self, trajectory: Trajectory, angle: Array) -> Forcing:
+    def forcing(self, trajectory: Trajectory, angle: Array | None) -> Forcing:
         """What a unit of each resonator adds to the balances, (N, 2 f) each; the state is taken per standard deviation."""
         signal = trajectory.speed_rad_s if self.past == "speed" else trajectory.current_A
         scale = max(float(np.std(signal)), 1e-12)

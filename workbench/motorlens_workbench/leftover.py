@@ -24,6 +24,8 @@ from motorlens_workbench.variation import variations
 Array = NDArray[np.float64]
 
 BALANCES = ("voltage", "torque", "heat")
+# Knots around a revolution of the shaft.
+ROUND = 25
 # A free curve counts if it is this many standard deviations beyond chance, explains this many times what counts as real for
 # a single column, and has one knot that is this many times real by itself: a small curve must be sharp, one that bends
 # everywhere a little must explain much.
@@ -65,6 +67,8 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
     free: list[Free] = [c for c in curves(trajectories, BALANCES) if not _disturbance(c)]
     free += lasting(trajectories)
+    if any(run.shaft for run in runs):
+        free.append(Curve("torque", "angle", np.linspace(0, 2 * np.pi, ROUND)))
     free += variations(found.model.file, trajectories, outputs)
     columns = all_columns(found, runs, (), free, with_decoys=False)
     evidence = evidence_of(columns, runs, found.whiteners)

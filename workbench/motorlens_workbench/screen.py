@@ -146,23 +146,9 @@ class Line:
 
     def of_curve(self, curve: Free) -> Array:
         """(rows, C, k) responses to the hat functions of a free curve."""
-        added = curve.forcing(
-            self.trajectory, self.angle() if curve.against == "angle" else self.run.inputs.time_s
-        )
+        shaft = self.run.shaft
+        added = curve.forcing(self.trajectory, None if shaft is None else shaft.angle_rad)
         return self.respond(added.voltage, added.torque, added.heat)
-
-    def angle(self) -> Array:
-        """(N,) shaft angle within a revolution: as followed, or the integral of the measured or simulated speed."""
-        if self.run.shaft is not None:
-            return np.asarray(np.mod(self.run.shaft.angle_rad, 2 * np.pi))
-        time = self.run.inputs.time_s
-        w = (
-            self.run.measured[:, self.run.channels.index("speed")]
-            if "speed" in self.run.channels
-            else self.trajectory.speed_rad_s
-        )
-        turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(time))])
-        return np.asarray(np.mod(turned, 2 * np.pi))
 
 
 def columns_of(

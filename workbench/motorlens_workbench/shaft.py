@@ -54,3 +54,25 @@ def lasting_share(error: Array) -> float:
     means = error[: pieces * PIECE].reshape(pieces, PIECE).mean(axis=1)
     of_noise = noise_sd(error) ** 2 / PIECE
     return float(np.clip(1 - LOUDER * of_noise / max(float(np.mean(means**2)), 1e-300), 0.0, 1.0))
+
+
+def between_samples(advance: Array, lag: float, *, held: bool) -> NDArray[np.complex128]:
+    """(N,) factor for samples of a rotating phasor, so that a first-order lag answers as to the phasor itself.
+
+    The true answer over that of the sampled lag, 1 / (1 + j w T) over (b0 + b1 z) / (z - k) with z = exp(j w dt), where the
+    lag is driven by straight lines, or steps, between the samples (Franklin, Powell and Workman, Digital Control of Dynamic
+    Systems, 3rd ed., section 6.3). A pure integrator driven by lines wants tan(h) / h, h = w dt / 2.
+
+    Args:
+        advance: (N,) phase from one sample to the next, rad, w dt.
+        lag: time constant in samples, T / dt.
+        held: steps, not lines.
+
+    >>> abs(between_samples(np.array([0.5]), 1e6, held=False) - np.tan(0.25) / 0.25)[0] < 1e-5
+    True
+    """
+    keep = np.exp(-1 / lag)
+    later = 0.0 if held else 1 - lag * (1 - keep)
+    z = np.exp(1j * advance)
+    sampled = (1 - keep - later + later * z) / (z - keep)
+    return np.asarray(1 / (1 + 1j * advance * lag) / np.where(np.abs(sampled) > 1e-12, sampled, 1e-12))

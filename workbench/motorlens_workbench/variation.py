@@ -63,7 +63,7 @@ class Variation:
         """Names of the columns."""
         return [f"curve.{self.parameter}.{self.against}.{k}" for k in range(len(self.knots))]
 
-    def forcing(self, trajectory: Trajectory, angle: Array) -> Forcing:
+    def forcing(self, trajectory: Trajectory, angle: Array | None) -> Forcing:
         """What a unit of the parameter at each knot adds to the balances, (N, k) each."""
         hats = hat_functions(self.knots, variables(trajectory)[self.against])
         unit = of_parameter(trajectory, self.parameter)
