@@ -82,8 +82,6 @@ def run(arguments: argparse.Namespace) -> int:
     if written:
         better = found.rungs[-1].file
         write_motor_file(freed(better, plain) if arguments.driven else better, arguments.output)
-    if arguments.json != "-":
-        print(to_text(document))
     write_json(document, arguments.json)
     if arguments.html:
         words = ["motorlens", "add", arguments.effect, "--motor", arguments.motor, "--fit", *arguments.fit]
@@ -94,4 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         words += [word for column in arguments.column for word in ("--column", column)]
         words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
         Path(arguments.html).write_text(to_html(document, shlex.join(words)), encoding="utf-8")
+    # Last, so that a reader who turns away (| head) loses no file.
+    if arguments.json != "-":
+        print(to_text(document))
     return 0 if written else 1

@@ -36,11 +36,6 @@ def run(arguments: argparse.Namespace) -> int:
     file = read_motor_file(arguments.motor, own.values())
     recordings = [read_recording(path, arguments.column) for path in arguments.recordings]
     found = compare(file, recordings)
-    if arguments.json != "-":
-        for recording in recordings:
-            for note in recording.notes:
-                print(f"{recording.name}: {note}")
-        print(to_text(found))
     write_json(to_json(found, arguments.recordings, arguments.motor), arguments.json)
     if arguments.html:
         words = ["motorlens", "compare", *arguments.recordings, "--motor", arguments.motor]
@@ -49,4 +44,10 @@ def run(arguments: argparse.Namespace) -> int:
         Path(arguments.html).write_text(
             to_html(found, arguments.recordings, arguments.motor, shlex.join(words)), encoding="utf-8"
         )
+    # Last, so that a reader who turns away (| head) loses no file.
+    if arguments.json != "-":
+        for recording in recordings:
+            for note in recording.notes:
+                print(f"{recording.name}: {note}")
+        print(to_text(found))
     return 0

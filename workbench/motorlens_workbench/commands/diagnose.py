@@ -56,11 +56,6 @@ def run(arguments: argparse.Namespace) -> int:
         say("looking for the test that tells the group apart")
     experiment = propose(found, verdict, np.random.default_rng(0))
     document = to_json(found, verdict, experiment, arguments.recordings, arguments.motor)
-    if arguments.json != "-":
-        for recording in recordings:
-            for note in recording.notes:
-                print(f"{recording.name}: {note}")
-        print(to_text(document))
     write_json(document, arguments.json)
     if arguments.html:
         from motorlens_workbench.diagnosis_page import to_html
@@ -72,4 +67,10 @@ def run(arguments: argparse.Namespace) -> int:
         Path(arguments.html).write_text(
             to_html(found, verdict, document, shlex.join(words)), encoding="utf-8"
         )
+    # Last, so that a reader who turns away (| head) loses no file.
+    if arguments.json != "-":
+        for recording in recordings:
+            for note in recording.notes:
+                print(f"{recording.name}: {note}")
+        print(to_text(document))
     return 0
