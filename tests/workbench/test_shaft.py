@@ -77,7 +77,7 @@ def test_the_angle_is_followed_where_the_simulated_one_is_turns_ahead(turning):
     assert found.shaft is not None
     simulated = np.concatenate([[0.0], np.cumsum(trajectory.speed_rad_s[:-1] * 0.002)])
     assert np.abs(simulated - true.states["phi"]).max() > 6.0
-    assert np.abs(found.shaft.angle_rad - true.states["phi"]).max() < 0.3
+    assert np.abs(found.shaft["phi"] - true.states["phi"]).max() < 0.3
 
 
 def test_what_the_ripple_changes_follows_from_the_shaft_as_followed(turning):
@@ -132,3 +132,31 @@ def test_a_rub_at_one_angle_is_drawn_against_the_angle():
     assert -0.5 < course.min() < -0.3
     away = np.abs(bend.knots - 2.0) > 1.2
     assert np.abs(course[away]).max() < 0.1
+
+
+@dataclass(frozen=True)
+class LoadedRub(Rub):
+    """The same in proportion to the load, and less when warm: it reads inputs and states beside the angle."""
+
+    def torque(self, m: Any, x: Any, u: Any) -> Any:
+        return super().torque(m, x, u) * u.load / (1.0 + 0.01 * x.theta)
+
+
+def test_a_recorded_angle_is_used_without_a_current_too():
+    """What the effect changes, against the integration in full; the current was not recorded."""
+    file = read_motor_file(MOTOR)
+    time = np.arange(5000) * 0.002
+    inputs = Inputs(time, np.full(len(time), 40.0), np.full(len(time), 0.5), np.full(len(time), 20.0))
+    effect = LoadedRub(0.8)
+    true = simulate(file.motor.with_effect(effect), inputs)
+    channels = {
+        "voltage": inputs.voltage_V, "load_torque": inputs.load_torque_Nm,
+        "speed": true.speed_rad_s, "angle": true.states["phi"],
+    }  # fmt: skip
+    run = prepare_all([Recording("angle", time, channels)], file)[0]
+    plain = start_model(file, [run])
+    change = predict(with_effect(plain, effect), run, 0)[1] - predict(plain, run, 0)[1]
+    truth = true.speed_rad_s - simulate(file.motor, inputs).speed_rad_s
+    settled = slice(1000, None)
+    assert np.std(change[settled, 0] - truth[settled]) < 0.1 * np.std(truth[settled])
+    assert np.std(truth[settled]) > 0.01

@@ -60,9 +60,7 @@ def test_an_effect_counts_with_its_size(trajectory):
 
 def test_the_hats_of_a_variation_add_up_to_its_parameter(trajectory):
     whole = of_parameter(trajectory, "R_a0")
-    parts = Variation("R_a0", "electrical", "ohm", "speed", np.array([0.0, 20.0, 60.0])).forcing(
-        trajectory, np.zeros(0)
-    )
+    parts = Variation("R_a0", "electrical", "ohm", "speed", np.array([0.0, 20.0, 60.0])).forcing(trajectory)
     assert parts.voltage.shape == (3000, 3)
     assert parts.voltage.sum(axis=1) == pytest.approx(whole.voltage)
     assert parts.heat.sum(axis=1) == pytest.approx(whole.heat)

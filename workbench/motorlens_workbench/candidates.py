@@ -3,7 +3,7 @@
 An effect enters the linearised problem as what it would add to the three balances, per typical size, evaluated on the
 trajectory by the effect's own methods (a secant from null to typical, so that effects whose first order vanishes, such as a
 housing node, are seen). Effects with a state of their own have it integrated along. Shapes that are not known are tried on
-a small grid. Sensor faults, free curves and decoys stand in the same list.
+a small grid. Sensor faults and decoys stand in the same list.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
-from motorlens_physics.simulation import Trajectory
+from motorlens_physics.simulation import Inputs, Trajectory
 from motorlens_workbench.shaft import between_samples
 
 Array = NDArray[np.float64]
@@ -27,7 +27,6 @@ Array = NDArray[np.float64]
 EQUATIONS = {"voltage": "electrical", "torque": "mechanical", "heat": "thermal"}
 # What warms with the winding starts this share as warm as it, unless a fit says otherwise.
 SETTLED = 0.8
-UNITS = {"voltage": "V", "torque": "N*m", "heat": "W"}
 
 
 @dataclass(frozen=True)
@@ -188,35 +187,39 @@ def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
 
 
 def _of_angle(effect: Effect, trajectory: Trajectory) -> Forcing:
-    x = _states(effect, trajectory, inputs_at(trajectory))
-    return of_angle(effect, trajectory.motor, x, trajectory.inputs.time_s, held=False)
+    u = inputs_at(trajectory)
+    return of_angle(effect, trajectory.motor, _states(effect, trajectory, u), u, held=False)
 
 
-def of_angle(effect: Effect, motor: Motor, x: Any, time_s: Array, *, held: bool) -> Forcing:
+def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> Forcing:
     """What an effect of the shaft angle adds to the balances, as samples that do in between what its true course does.
 
     Args:
         effect: with the angle as its state.
         motor: the motor it belongs to.
         x: (N,) states along the way, "phi" among them.
-        time_s: (N,) of the samples.
+        u: the inputs as effects read them.
         held: whether a sample holds until the next; otherwise they are joined by straight lines.
     """
     rounds = getattr(effect, "N", 1.0)
-    advance, period_s = rounds * np.gradient(x.phi), float(np.median(np.diff(time_s)))
+    advance, period_s = rounds * np.gradient(x.phi), float(np.median(np.diff(u.t)))
     lag_s = {"voltage": motor.L / motor.R_a0, "torque": motor.J / (motor.b + motor.ke**2 / motor.R_a0)}
     parts = {}
     for name, lag in lag_s.items():
         factor = between_samples(advance, lag / period_s, held=held)
         at = SimpleNamespace(**{**vars(x), "phi": x.phi + np.angle(factor) / rounds})
         size = np.abs(factor)
-        parts[name] = np.where(size < RAISED, size, 0.0) * getattr(effect, name)(motor, at, None)
-    return Forcing(**parts, heat=_array(effect.heat(motor, x, None), len(advance)))
+        parts[name] = np.where(size < RAISED, size, 0.0) * getattr(effect, name)(motor, at, u)
+    return Forcing(**parts, heat=_array(effect.heat(motor, x, u), len(advance)))
 
 
 def inputs_at(trajectory: Trajectory) -> Any:
-    """The inputs as effects read them."""
-    i = trajectory.inputs
+    """The inputs along a trajectory as effects read them."""
+    return as_read(trajectory.inputs)
+
+
+def as_read(i: Inputs) -> Any:
+    """Inputs as effects read them."""
     return SimpleNamespace(v=i.voltage_V, load=i.load_torque_Nm, ambient=i.ambient_C, t=i.time_s)
 
 
@@ -255,121 +258,6 @@ def _integrate(time, a, b, first):  # type: ignore[no-untyped-def]
 
 def _array(value: Any, rows: int) -> Array:
     return np.broadcast_to(np.asarray(value, dtype=np.float64), (rows,))
-
-
-# ---- free curves ----
-
-# Against what, and with how many knots: finer than the bumps that a coarse curve would miss.
-KNOTS = {"speed": 18, "current": 12, "temperature": 8, "time": 12}
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A free curve in one equation: hat functions of one variable.
-
-    Attributes:
-        balance: "voltage", "torque" or "heat".
-        against: "speed", "current", "temperature", "time" or "angle".
-        knots: (k,) in the variable's unit.
-    """
-
-    balance: str
-    against: str
-    knots: Array
-
-    @property
-    def equation(self) -> str:
-        """Which equation it stands in."""
-        return EQUATIONS[self.balance]
-
-    @property
-    def term(self) -> str:
-        """What it is the course of."""
-        return self.balance
-
-    @property
-    def unit(self) -> str:
-        """Of its values."""
-        return UNITS[self.balance]
-
-    def columns(self) -> list[str]:
-        """Names of the columns."""
-        return [f"curve.{self.balance}.{self.against}.{k}" for k in range(len(self.knots))]
-
-    def forcing(self, trajectory: Trajectory, angle: Array | None) -> "Forcing":
-        """What a unit at each knot adds to the balances, (N, k) each; `angle` is the shaft's (N,), where it is known."""
-        if self.against == "angle":
-            rows = len(trajectory.inputs.time_s)
-            hats = around(self.knots, angle) if angle is not None else np.zeros((rows, len(self.knots)))
-        else:
-            hats = hat_functions(self.knots, variables(trajectory)[self.against])
-        still = np.zeros_like(hats)
-        return Forcing(**{"voltage": still, "torque": still, "heat": still, self.balance: hats})
-
-
-def hat_functions(knots: Array, z: Array) -> Array:
-    """(N, k) hat functions, which sum to one between the outer knots; constant beyond.
-
-    >>> hat_functions(np.array([0.0, 1.0, 2.0]), np.array([0.25, 5.0])).tolist()
-    [[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]]
-    """
-    clipped = np.clip(z, knots[0], knots[-1])
-    out = np.zeros((len(z), len(knots)))
-    right = np.clip(np.searchsorted(knots, clipped, side="right"), 1, len(knots) - 1)
-    share = (clipped - knots[right - 1]) / (knots[right] - knots[right - 1])
-    rows = np.arange(len(z))
-    out[rows, right - 1] = 1 - share
-    out[rows, right] += share
-    return out
-
-
-# Points at which hat functions of the shaft angle are taken within a sample.
-PHASES = 8
-
-
-def around(knots: Array, angle: Array) -> Array:
-    """(N, k) hat functions of the shaft angle (N,), rad, within a revolution, each the mean over its sample."""
-    turn = np.gradient(angle)
-    ways = [angle + ((k + 0.5) / PHASES - 0.5) * turn for k in range(PHASES)]
-    return np.asarray(sum(hat_functions(knots, np.mod(way, 2 * np.pi)) for way in ways) / PHASES)
-
-
-def knots_of(samples: Array, count: int) -> Array | None:
-    """Knots over the range that the samples visit: between even spacing and equal populations; None if it hardly varies."""
-    low, high = np.quantile(samples, [0.002, 0.998])
-    if not high - low > 1e-6 * max(abs(low), abs(high), 1e-12):
-        return None
-    even = np.linspace(low, high, count)
-    ranked = np.quantile(samples, np.linspace(0.002, 0.998, count))
-    knots = np.unique(0.5 * (even + ranked))
-    return knots if len(knots) >= 4 else None
-
-
-def variables(trajectory: Trajectory) -> dict[str, Array]:
-    """What curves are drawn against, (N,) each."""
-    return {
-        "speed": trajectory.speed_rad_s,
-        "current": trajectory.current_A,
-        "temperature": trajectory.rise_K,
-        "time": trajectory.inputs.time_s,
-    }
-
-
-def curves(trajectories: Sequence[Trajectory], balances: Sequence[str]) -> list[Curve]:
-    """Free curves of every balance against every variable that varies."""
-    found = []
-    for against, count in KNOTS.items():
-        samples = np.concatenate([variables(t)[against] for t in trajectories])
-        knots = knots_of(samples, count)
-        if knots is None:
-            continue
-        if against == "speed":
-            # Friction turns its sign at rest: a knot on either side of zero.
-            near = 0.02 * np.max(np.abs(knots))
-            if knots[0] < -near and knots[-1] > near:
-                knots = np.unique(np.concatenate([knots[np.abs(knots) > 2 * near], [-near, 0.0, near]]))
-        found += [Curve(balance, against, knots) for balance in balances]
-    return found
 
 
 def decoys(trajectory: Trajectory) -> Mapping[str, Forcing]:

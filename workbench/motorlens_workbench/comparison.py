@@ -17,7 +17,7 @@ from motorlens_physics.scenario import TimeConstants, time_constants
 from motorlens_physics.simulation import Trajectory
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_workbench.balances import EQUATIONS, missing_of
-from motorlens_workbench.candidates import curves
+from motorlens_workbench.curves import curves
 from motorlens_workbench.fitting import start_model
 from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import STATE_OF, UNIT_OF, Run, prepare_all

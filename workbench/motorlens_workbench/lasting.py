@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import EQUATIONS, UNITS, Forcing
+from motorlens_workbench.candidates import Forcing
+from motorlens_workbench.curves import Term
 
 Array = NDArray[np.float64]
 
@@ -29,15 +30,13 @@ MOST = 9
 
 
 @dataclass(frozen=True)
-class Lasting:
-    """One balance as a free function of the past of a state.
+class Lasting(Term):
+    """A voltage or torque as a free function of the past of a state; values are for a swing of its standard deviation.
 
     Attributes:
-        balance: "voltage" or "torque".
         frequencies_Hz: (f,) of the resonators.
     """
 
-    balance: str
     frequencies_Hz: Array
 
     @property
@@ -50,32 +49,15 @@ class Lasting:
         """The state it follows."""
         return PAST[self.balance]
 
-    @property
-    def equation(self) -> str:
-        """Which equation it stands in."""
-        return EQUATIONS[self.balance]
-
-    @property
-    def term(self) -> str:
-        """What it is the course of."""
-        return self.balance
-
-    @property
-    def unit(self) -> str:
-        """Of its values: what is missing when the state swings as far as it does on the whole."""
-        return UNITS[self.balance]
-
     def columns(self) -> list[str]:
         """Names of the columns, two a frequency."""
         return [f"curve.{self.balance}.{self.against}.{k}" for k in range(2 * len(self.frequencies_Hz))]
 
-    def forcing(self, trajectory: Trajectory, angle: Array | None) -> Forcing:
+    def forcing(self, trajectory: Trajectory) -> Forcing:
         """What a unit of each resonator adds to the balances, (N, 2 f) each; the state is taken per standard deviation."""
         signal = trajectory.speed_rad_s if self.past == "speed" else trajectory.current_A
         scale = max(float(np.std(signal)), 1e-12)
-        added = resonances(signal / scale, trajectory.inputs.time_s, self.frequencies_Hz)
-        still = np.zeros_like(added)
-        return Forcing(**{"voltage": still, "torque": still, "heat": still, self.balance: added})
+        return self.adding(resonances(signal / scale, trajectory.inputs.time_s, self.frequencies_Hz))
 
     def amplitude(self, at: Sequence[int], coefficient: Array, covariance: Array) -> tuple[Array, Array]:
         """(f,) what is missing at each frequency, in `unit`, and its standard deviation.

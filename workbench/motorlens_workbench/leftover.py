@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.parameter import Rated
-from motorlens_workbench.candidates import Curve, curves
+from motorlens_workbench.curves import Curve, curves
 from motorlens_workbench.evidence import Evidence, curve_gain, statistics
 from motorlens_workbench.fitting import Fit
 from motorlens_workbench.input_errors import without_input_errors

@@ -21,7 +21,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
-from motorlens_workbench.candidates import SETTLED, is_rise, of_angle
+from motorlens_workbench.candidates import SETTLED, as_read, is_rise, of_angle
 from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
@@ -91,8 +91,7 @@ def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     detents, ripple = np.zeros(len(shown.time_s)), np.zeros(len(shown.time_s))
     for effect in by_angle(model, run):
         assert run.shaft is not None
-        at = SimpleNamespace(phi=run.shaft.angle_rad, i=run.shaft.current_A, w=run.shaft.speed_rad_s)
-        added = of_angle(effect, motor, at, shown.time_s, held=held)
+        added = of_angle(effect, motor, SimpleNamespace(**run.shaft), as_read(shown), held=held)
         detents, ripple = detents + added.torque, ripple + added.voltage
     inputs = replace(
         shown,

@@ -36,15 +36,6 @@ AMBIENT_S = 60.0
 
 
 @dataclass(frozen=True, eq=False)
-class Shaft:
-    """Where the shaft stood and what went on there, (N,) each: what depends on the angle acts as an input."""
-
-    angle_rad: Array
-    speed_rad_s: Array
-    current_A: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Run:
     """One recording, prepared.
 
@@ -59,7 +50,7 @@ class Run:
         known: which inputs were recorded beside the voltage.
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
-        shaft: the shaft as far as it could be followed, see `shaft.followed`.
+        shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
         input_noise: of the voltage (V) and the load torque (N m), where it is their sensors' and was not truly applied.
         smooth: whether it was smoothed away as far as it can be.
         input_step: the least significant bit of either, 0 if continuous.
@@ -84,7 +75,7 @@ class Run:
     offset_below: Mapping[str, float] = field(default_factory=dict)
     converters: tuple[Converter, ...] = ()
     turns: bool = True
-    shaft: Shaft | None = None
+    shaft: Mapping[str, Array] | None = None
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -209,8 +200,16 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     if angle is not None and not np.isfinite(angle).all():
         angle = None
     shaft = None
-    if angle is not None and {"speed", "current"} <= set(used):
-        shaft = Shaft(angle, measured[:, used.index("speed")], measured[:, used.index("current")])
+    if angle is not None:
+        # What was not measured is roughly known only; `shaft.followed` takes it from a simulation.
+        rough = {
+            "phi": angle,
+            "w": np.gradient(angle, time),
+            "i": np.zeros(rows),
+            "theta": np.full(rows, start["theta"]),
+        }
+        seen = {STATE_OF[c]: measured[:, k] for k, c in enumerate(used) if c != "temperature"}
+        shaft = {**rough, **seen}
     coarse = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
     exact = {
         q: limit for q in ("voltage", *used) if (limit := largest_offset(recording.channels[q])) is not None

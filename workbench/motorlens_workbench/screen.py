@@ -14,7 +14,8 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.sensitivity import Linearisation, linearise
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import Candidate, Curve, Forcing, decoys, forcing
+from motorlens_workbench.candidates import Candidate, Forcing, decoys, forcing
+from motorlens_workbench.curves import Curve
 from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 from motorlens_workbench.fitting import Fit, usable
 from motorlens_workbench.lasting import Lasting
@@ -95,7 +96,7 @@ class Line:
         """The problem of a model that was linearised already."""
         if run.shaft is not None:
             # Forcings of the shaft angle follow the known one, which does not drift.
-            trajectory = replace(trajectory, states={**trajectory.states, "phi": run.shaft.angle_rad})
+            trajectory = replace(trajectory, states={**trajectory.states, "phi": run.shaft["phi"]})
 
         def respond(voltage: Array, torque: Array, heat: Array) -> Array:
             states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat)
@@ -146,8 +147,7 @@ class Line:
 
     def of_curve(self, curve: Free) -> Array:
         """(rows, C, k) responses to the hat functions of a free curve."""
-        shaft = self.run.shaft
-        added = curve.forcing(self.trajectory, None if shaft is None else shaft.angle_rad)
+        added = curve.forcing(self.trajectory)
         return self.respond(added.voltage, added.torque, added.heat)
 
 

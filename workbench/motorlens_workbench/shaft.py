@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.denoise import noise_sd, smoothed
-from motorlens_workbench.run import STATE_OF, Run, Shaft
+from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
 
@@ -29,15 +29,13 @@ def followed(run: Run, trajectory: Trajectory, shown: Array) -> Run:
     """
     if not run.turns or ("speed" not in run.channels and run.angle is None):
         return run
-    state = dict(trajectory.states)
+    states = dict(trajectory.states)
     for k, channel in enumerate(run.channels):
         error = run.measured[:, k] - shown[:, k]
-        state[STATE_OF[channel]] = trajectory.states[STATE_OF[channel]] + lasting_share(error) * smoothed(
-            error
-        )
-    w, time = state["w"], run.inputs.time_s
+        states[STATE_OF[channel]] = states[STATE_OF[channel]] + lasting_share(error) * smoothed(error)
+    w, time = states["w"], run.inputs.time_s
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(time))])
-    return replace(run, shaft=Shaft(turned if run.angle is None else run.angle, w, state["i"]))
+    return replace(run, shaft={**states, "phi": turned if run.angle is None else run.angle})
 
 
 def lasting_share(error: Array) -> float:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import Forcing, equation_of, hat_functions, inputs_at, knots_of
+from motorlens_workbench.candidates import Forcing, equation_of, inputs_at
+from motorlens_workbench.curves import hat_functions, knots_of
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ class Variation:
         """Names of the columns."""
         return [f"curve.{self.parameter}.{self.against}.{k}" for k in range(len(self.knots))]
 
-    def forcing(self, trajectory: Trajectory, angle: Array | None) -> Forcing:
+    def forcing(self, trajectory: Trajectory) -> Forcing:
         """What a unit of the parameter at each knot adds to the balances, (N, k) each."""
         hats = hat_functions(self.knots, variables(trajectory)[self.against])
         unit = of_parameter(trajectory, self.parameter)
