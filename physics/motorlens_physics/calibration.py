@@ -12,7 +12,6 @@ of that noise; the command a drive holds is a better input than its noisy measur
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +32,8 @@ from motorlens_physics.calibration_problem import (
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensitivity import INITIAL
-from motorlens_physics.simulation import Array, cores
+from motorlens_physics.simulation import Array
+from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 
 # Steps adapt to this relative error; noise is larger by orders of magnitude.
@@ -181,8 +181,7 @@ class _Problem:
             return predict(self.runs[k], points[k], tolerance=TOLERANCE)
 
         points = self.at(q)
-        with ThreadPoolExecutor(cores()) as pool:
-            return list(pool.map(one, range(len(self.runs))))
+        return on_all_cores(one, range(len(self.runs)))
 
     def ties(self) -> list[tuple[int, int]]:
         """Pairs of neighbouring windows."""
@@ -244,8 +243,7 @@ def _normal_equations(
             scores += np.add.reduceat((weights * e)[:, None] * white, edges, axis=0)
         return normal, scores, end, ends * slopes[list(at.own)]
 
-    with ThreadPoolExecutor(cores()) as pool:
-        parts = list(pool.map(one, range(len(problem.runs))))
+    parts = on_all_cores(one, range(len(problem.runs)))
     normal = np.diag(1.0 / problem.sds**2)
     right = (problem.means - q) / problem.sds**2
     scores = []

@@ -9,9 +9,7 @@ Steps adapt inside each sample so that the error of each stays below `tolerance`
 inrush inside one sample of a second is resolved, and a steady state is passed in one step.
 """
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -23,6 +21,7 @@ from motorlens_physics.compile import Compiled, compiled
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
 from motorlens_physics.symbols import System, in_order, parameter_values, trace
+from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import DataError, ModelError
 
 Array = NDArray[np.float64]
@@ -166,10 +165,9 @@ def simulate_batch(
     def one(case: tuple[Motor, Inputs, Mapping[str, float] | None]) -> Trajectory:
         return simulate(*case, tolerance=tolerance, smooth=smooth)
 
-    # Compiled before the threads start; the compiled code runs without the interpreter's lock.
+    # Compiled before the threads start.
     first = one(chosen[0])
-    with ThreadPoolExecutor(cores()) as pool:
-        return [first, *pool.map(one, chosen[1:])]
+    return [first, *on_all_cores(one, chosen[1:])]
 
 
 class Stepper:
@@ -219,11 +217,6 @@ def structure(
     """The symbols and the machine code of a motor's structure (see `trace`); parameter values do not matter."""
     own, further = (tuple(map(type, in_order(effects))) for effects in (motor.effects, candidates))
     return _structure(own, further, forced)
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def initial_states(motor: Motor, system: System, initial: Mapping[str, float] | None) -> Array:

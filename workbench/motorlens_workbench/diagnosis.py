@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
+from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
 from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
@@ -108,7 +109,9 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
     prior = base_prior(file, runs)
     quieter = tuple(run.quieter() for run in runs)
     # Parameters fitted to noisy inputs have made up for the noise: each way is judged by a fit of its own as well.
-    fits = [fit(start_model(file, taken), taken, prior) for taken in dict.fromkeys((tuple(runs), quieter))]
+    fits = on_all_cores(
+        lambda taken: fit(start_model(file, taken), taken, prior), dict.fromkeys((tuple(runs), quieter))
+    )
     chosen, held = [], []
     for r, (run, quiet) in enumerate(zip(runs, quieter, strict=True)):
         shown = fits[0].model.held[r]

@@ -69,16 +69,16 @@ class Evidence:
         """Without what errors of the measured inputs put into the residual's products.
 
         Args:
-            feigned: (D, B, M) products of every column with the residual in each block, drawn D times; their mean is
+            feigned: (D, B, M - 1) products of every column with the residual in each block, drawn D times; their mean is
                 taken out, and their scatter is left beside, so that every test knows how well that mean is known.
         """
-        mean = feigned.mean(axis=0)[:, :-1]
+        mean = feigned.mean(axis=0)
         taken = self.blocks.copy()
         taken[:, :-1, -1] -= mean
         taken[:, -1, :-1] -= mean
         draws = len(feigned)
         scatter = np.zeros((draws, *self.blocks.shape[1:]))
-        of_mean = (feigned.sum(axis=1)[:, :-1] - mean.sum(axis=0)) / draws
+        of_mean = (feigned.sum(axis=1) - mean.sum(axis=0)) / draws
         scatter[:, :-1, -1] = scatter[:, -1, :-1] = of_mean
         return replace(
             self, blocks=np.concatenate([taken, scatter]), samples=np.append(self.samples, np.zeros(draws))

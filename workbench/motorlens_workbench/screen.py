@@ -14,6 +14,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.sensitivity import Linearisation, linearise
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
+from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.candidates import Candidate, Forcing, decoys, forcing
 from motorlens_workbench.curves import Curve
 from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
@@ -188,25 +189,18 @@ def columns_of(
     names = [*keys, *effects, *(candidate.columns()[0][0] for candidate in sensors)]
     names += [label for curve in free_curves for label in curve.columns()]
     names += false
-    table = np.zeros((len(run), len(run.channels), len(names) + 1))
-    table[:, :, [keys.index(key) for key in mine]] = run.average(derivative) * [scales[key] for key in mine]
-    at = len(keys)
-    for part in _chunks(list(effects.values())):
-        table[:, :, at : at + len(part)] = line.of_effect(part)
-        at += len(part)
+    shape = (len(run), len(run.channels))
+    own = np.zeros((*shape, len(keys)))
+    own[:, :, [keys.index(key) for key in mine]] = run.average(derivative) * [scales[key] for key in mine]
+    parts = [own, *(line.of_effect(chunk) for chunk in _chunks(list(effects.values())))]
     for candidate in sensors:
         sensor = candidate.variants[0][0]
         assert isinstance(sensor, SensorModel)
-        if sensor.channel in (*run.channels, "voltage", *run.known):
-            table[:, :, at] = line.of_sensor(sensor)
-        at += 1
-    for curve in free_curves:
-        width = len(curve.columns())
-        table[:, :, at : at + width] = line.of_curve(curve)
-        at += width
-    table[:, :, at:-1] = line.of_forcings(list(false.values()))
-    table[:, :, -1] = run.average(run.measured - y)
-    return Columns(tuple(names), table)
+        seen = sensor.channel in (*run.channels, "voltage", *run.known)
+        parts.append((line.of_sensor(sensor) if seen else np.zeros(shape))[:, :, None])
+    parts += [line.of_curve(curve) for curve in free_curves]
+    parts += [line.of_forcings(list(false.values())), run.average(run.measured - y)[:, :, None]]
+    return Columns(tuple(names), np.concatenate(parts, axis=2))
 
 
 def _chunks(effects: list[Effect]) -> Iterator[list[Effect]]:
@@ -240,17 +234,18 @@ def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequ
     return Evidence.of(names, np.array(blocks), np.array(samples))
 
 
-def products_with_residual(
-    columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequence[Whitener]
+def products_with(
+    columns: Sequence[Columns], residuals: Sequence[Array], runs: Sequence[Run], whiteners: Sequence[Whitener]
 ) -> Array:
-    """(B, m + 1) whitened products of all columns with the residual by blocks of time, the last the residual's own."""
+    """(B, m, D) whitened products, by blocks of time, of all columns with other residuals, (rows, C) or (rows, C, D)."""
     products = []
-    for r, (one, run, whitener) in enumerate(zip(columns, runs, whiteners, strict=True)):
+    for r, (one, other, run, whitener) in enumerate(zip(columns, residuals, runs, whiteners, strict=True)):
         kept = usable(run, whitener)
+        white = whitener(other.reshape(*other.shape[:2], -1))
         pieces = [rows for k, rows in layout(runs, whiteners) if k == r]
         for rows, part in zip(pieces, whitener.pieces(one.table, pieces), strict=True):
-            flat = part[kept[rows]].reshape(-1, one.table.shape[2])
-            products.append(flat.T @ flat[:, -1])
+            flat = part[kept[rows]].reshape(-1, part.shape[2])
+            products.append(flat[:, :-1].T @ white[rows][kept[rows]].reshape(len(flat), -1))
     return np.array(products)
 
 
@@ -290,10 +285,11 @@ def all_columns(
 ) -> list[Columns]:
     """The columns of every run in one pass."""
     scales = dict(found.prior.sd)
-    return [
-        columns_of(found.model, run, r, found.prior.keys, scales, listed, free_curves, with_decoys)
-        for r, run in enumerate(runs)
-    ]
+
+    def of_run(r: int) -> Columns:
+        return columns_of(found.model, runs[r], r, found.prior.keys, scales, listed, free_curves, with_decoys)
+
+    return on_all_cores(of_run, range(len(runs)))
 
 
 def errors_by_block(found: Fit, runs: Sequence[Run]) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.evidence import score
 from motorlens_workbench.fitting import Fit
 from motorlens_workbench.look import Look, decoy_of
@@ -106,12 +107,9 @@ def advance(
             if step is not None:
                 return step, broken
         near = rivals(now.left, tests, best)
-        refits: dict[str, Fit] = {}
-        for test in near:
-            say(f"refitting with {test.candidate.name}")
-            tried = refit(now.found, now.evidence, test, runs)
-            if tried is not None:
-                refits[test.candidate.name] = tried
+        say(f"refitting with {', '.join(test.candidate.name for test in near)}")
+        tries = on_all_cores(lambda test: refit(now.found, now.evidence, test, runs), near)
+        refits = {test.candidate.name: tried for test, tried in zip(near, tries, strict=True) if tried}
         good = {
             name: tried
             for name, tried in refits.items()
@@ -139,11 +137,13 @@ def _unmasked(
         if test.gain > max(MASKED * known, MASKED * REAL) and test.statistic <= threshold(now, test)
     ]
     masked.sort(key=lambda test: -test.gain)
+    masked = masked[:MOST_MASKED]
+    if masked:
+        say(f"refitting with {', '.join(test.candidate.name for test in masked)}")
+    tries = on_all_cores(lambda test: refit(now.found, now.evidence, test, runs, rounds=8), masked)
     refits, seen = {}, dict(tests)
-    for test in masked[:MOST_MASKED]:
+    for test, tried in zip(masked, tries, strict=True):
         name = test.candidate.name
-        say(f"refitting with {name}")
-        tried = refit(now.found, now.evidence, test, runs, rounds=8)
         if tried is None or not total(now.found) - total(tried) > 0.5 * test.gain:
             continue
         even = evenness(tried, test, runs)
