@@ -194,7 +194,10 @@ def chosen(arguments: argparse.Namespace) -> list[Case]:
     """The cases that the command line asks for."""
     cases = draw(arguments.split, arguments.n, arguments.small)
     if arguments.only:
-        cases = [case for case in cases if case.id in arguments.only]
+        known = {case.id: case for case in cases}
+        if strange := [one for one in arguments.only if one not in known]:
+            raise SystemExit(f"--only {strange[0]}: no such case; there are {cases[0].id} to {cases[-1].id}")
+        cases = [known[one] for one in arguments.only]
     return cases[:: arguments.every]
 
 

@@ -173,7 +173,8 @@ class Score:
 def score(left: Evidence, names: Sequence[str]) -> Score | None:
     """Score test of some columns together, given evidence from which the accepted columns were projected out.
 
-    Returns None if the columns are copies of accepted ones, so that nothing can be said about them.
+    Returns None if nothing can be said about them: they are copies of accepted ones, or errors of the inputs (see
+    `Evidence.less`) would put more into them than there is.
     """
     at = left.index(names)
     total = left.total
@@ -184,6 +185,9 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     inverse = _inverse(information)
     coefficient = inverse @ total[at, -1]
     gain = float(total[at, -1] @ coefficient)
+    if gain > total[-1, -1]:
+        # More than there is to explain: what was taken out for errors of the inputs is larger than the evidence itself.
+        return None
     # Scatter after the fitted size is taken out: taken before, it would grow with the effect and hide it. Noise slower
     # than a block shows between longer ones.
     here = left.blocks[:, at[:, None], at[None, :]]

@@ -19,7 +19,7 @@ from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
 from motorlens_workbench.screen import Free, all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL
-from motorlens_workbench.variation import variations
+from motorlens_workbench.variation import Variation, variations
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,8 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     free += lasting(trajectories)
     if any(run.shaft for run in runs):
         free.append(Curve("torque", "angle", np.linspace(0, 2 * np.pi, ROUND)))
-    free += variations(found.model.file, trajectories, outputs)
+    loaded = any("load_torque" in run.known for run in runs)
+    free += [v for v in variations(found.model.file, trajectories, outputs) if loaded or not _may_be_load(v)]
     columns = all_columns(found, runs, (), free, with_decoys=False)
     evidence = evidence_of(columns, runs, found.whiteners)
     evidence = without_input_errors(evidence, found, runs, found.whiteners, (), free, with_decoys=False)
@@ -122,6 +123,11 @@ def _beyond_chance(bend: Bend, decoy: float) -> bool:
 def _disturbance(curve: Curve) -> bool:
     """A voltage or a torque that goes with time, or the temperature that rises with it, need not be the motor's."""
     return curve.against == "time" or (curve.against == "temperature" and curve.balance != "heat")
+
+
+def _may_be_load(curve: Variation) -> bool:
+    """Where no load was measured, friction or inertia that goes with time, or with the warming, may be a load that does."""
+    return curve.equation == "mechanical" and curve.against in ("time", "temperature")
 
 
 def _believable(bend: Bend, rated: Rated) -> bool:

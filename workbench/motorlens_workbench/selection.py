@@ -126,8 +126,10 @@ def rivals(left: Evidence, tests: dict[str, Test], best: Test, most: int = 5) ->
             test.statistic > 0.5 * best.statistic and likeness(left, best, test) > 0.5
         ):
             near.append(test)
-        elif test.gain > 0.3 * best.gain and likeness(left, best, test) > 0.7:
-            # Nearly a copy: which of them scatters less before the fit says little.
+        elif (test.gain > 0.3 * best.gain and likeness(left, best, test) > 0.7) or (
+            test.gain > best.gain and test.statistic > 0.3 * best.statistic
+        ):
+            # Nearly a copy, or more of what is missing, less evenly: which scatters less before the fit says little.
             near.append(test)
     near.sort(key=lambda test: -test.statistic)
     return [best, *near[: most - 1]]

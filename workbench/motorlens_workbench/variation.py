@@ -83,7 +83,7 @@ def variables(trajectory: Trajectory) -> dict[str, Array]:
 
 
 def travel(speed_rad_s: Array, time_s: Array) -> Array:
-    """(N,) angle turned since the last reversal, in rad.
+    """(N,) angle turned since the last reversal, in rad; where samples are too far apart to tell, as if long after one.
 
     >>> travel(np.array([1.0, 1.0, -1.0, -1.0]), np.arange(4.0)).tolist()
     [0.0, 1.0, 0.0, 1.0]
@@ -94,6 +94,8 @@ def travel(speed_rad_s: Array, time_s: Array) -> Array:
     turned = np.zeros(len(way), dtype=bool)
     turned[moving[1:][way[moving[1:]] != way[moving[:-1]]]] = True
     steps = 0.5 * (np.abs(speed_rad_s[1:]) + np.abs(speed_rad_s[:-1])) * np.diff(time_s)
+    if len(moving) and np.median(steps[np.minimum(moving, len(steps) - 1)]) > TRAVEL_RAD[-2]:
+        return np.full(len(way), TRAVEL_RAD[-1])
     path = np.concatenate([[0.0], np.cumsum(steps)])
     since = np.maximum.accumulate(np.where(turned, path, 0.0))
     return np.asarray(path - since)

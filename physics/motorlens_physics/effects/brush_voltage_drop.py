@@ -32,7 +32,6 @@ class BrushVoltageDrop(Effect):
         bounds=(1e-4, 100.0),
         prior=0.02,
         of="current",
-        fixed=True,
     )
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:

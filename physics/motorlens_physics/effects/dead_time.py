@@ -34,7 +34,6 @@ class DeadTime(Effect):
         bounds=(1e-4, 100.0),
         prior=0.05,
         of="current",
-        fixed=True,
     )
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
