@@ -48,6 +48,17 @@ def test_projection_equals_regression(problem):
     )
 
 
+def test_nothing_is_said_where_errors_of_the_inputs_put_in_more_than_there_is(problem):
+    evidence = evidence_of(*problem, 64)
+    little = np.zeros((2, 64, 5))
+    little[:, :, 0] = 0.1 * evidence.blocks[:, 0, 0]
+    clean, plain = score(evidence.less(little), ["c0"]), score(evidence, ["c0"])
+    assert clean is not None and plain is not None
+    assert plain.coefficient[0] - clean.coefficient[0] == pytest.approx(0.1)
+    assert score(evidence.less(50 * little), ["c0"]) is None
+    assert score(evidence.less(50 * little), ["c1"]) is not None
+
+
 def test_projection_in_two_steps_is_projection_in_one(problem):
     evidence = evidence_of(*problem, 64)
     once, twice = evidence.given(["c0", "c3"]), evidence.given(["c0"]).given(["c3"])

@@ -11,7 +11,7 @@ from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench import verdict
+from motorlens_workbench import selection, verdict
 from motorlens_workbench.fitting import Prior, base_prior, fit, start_model
 from motorlens_workbench.run import prepare
 from motorlens_workbench.steps import imperfections
@@ -34,6 +34,25 @@ def test_what_mends_the_shape_of_an_effect_is_no_second_one(alike, loss, gain, m
     )
     now = SimpleNamespace(tests={"brush_voltage_drop": SimpleNamespace(gain=gain)})
     assert imperfections([step], now) == (["brush_voltage_drop"] if mends else [])
+
+
+@pytest.mark.parametrize(
+    ("statistic", "gain", "alike", "rival"),
+    [
+        (80.0, 100.0, 0.0, True),  # nearly as significant
+        (60.0, 100.0, 0.6, True),  # of the same thing
+        (60.0, 100.0, 0.3, False),
+        (20.0, 500.0, 0.8, True),  # nearly a copy, less evenly
+        (40.0, 1100.0, 0.0, True),  # explains more, less evenly
+        (20.0, 1100.0, 0.0, False),  # so unevenly that it is another thing
+    ],
+)
+def test_who_is_refitted_beside_the_best(statistic, gain, alike, rival, monkeypatch):
+    monkeypatch.setattr(selection, "likeness", lambda left, one, other: alike)
+    best = SimpleNamespace(statistic=100.0, gain=1000.0)
+    other = SimpleNamespace(statistic=statistic, gain=gain)
+    found = selection.rivals(None, {"best": best, "other": other}, best)
+    assert found == ([best, other] if rival else [best])
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,13 @@ def test_travel_is_the_angle_since_the_last_reversal():
     assert travel(np.full(5, 2.0), np.arange(5.0)).tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
+def test_samples_too_far_apart_tell_no_travel():
+    time = np.arange(2000.0)
+    speed = 200 * np.cos(2 * np.pi * time / 400)
+    assert (travel(speed, time) == 20.0).all()
+    assert travel(speed / 100, time).min() == 0.0
+
+
 def test_heat_is_left_out_where_the_temperature_is_not_measured(trajectory):
     file = read_motor_file(MOTOR)
     named = {one.parameter for one in variations(file, [trajectory], ("current", "speed"))}
