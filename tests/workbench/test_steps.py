@@ -81,6 +81,17 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
     assert (bend.gain if bend else None) == against
 
 
+@pytest.mark.parametrize(
+    ("coarse", "gain", "named"), [(False, 60.0, True), (True, 140.0, False), (True, 160.0, True)]
+)
+def test_a_curve_must_stand_out_of_a_coarse_converter(coarse, gain, named):
+    found = SimpleNamespace(
+        steps=[], left=[SimpleNamespace(gain=gain)], whole=[], last=SimpleNamespace(samples=10_000.0),
+        runs=[SimpleNamespace(coarse=False), SimpleNamespace(coarse=coarse)],
+    )  # fmt: skip
+    assert (verdict.structure(found) is not None) == named
+
+
 @pytest.mark.parametrize("housing_K", [12.0, 38.0])
 def test_how_warm_the_housing_was_is_found(housing_K):
     """A motor switched on warm, after a short run (its housing is cold) or a long one."""

@@ -21,9 +21,12 @@ WINDOWS = (1, 3, 5, 9, 17, 33, 65, 129, 257, 513)
 # Half width of a confidence interval, in standard deviations.
 CONFIDENCE = 2.4
 # Noise that lasts: samples in a piece, how much louder than the quietest a piece may be, lags at which it is looked at, the
-# correlation of neighbours above which it counts, and how much of it is kept from one sample to the next.
-PIECE, LOUD, LAGS, LASTS = 64, 4.0, (0, 1, 2, 4, 8, 16), 0.2
+# correlation of neighbours and the share of the noise above which it counts, and how much of it is kept from one sample to
+# the next.
+PIECE, LOUD, LAGS, LASTS = 64, 4.0, (0, 1, 2, 3, 4, 6, 8, 12, 16, 24), 0.2
 KEEPS = (0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
+# How much more than the signal the noise found in it may scatter from sample to sample.
+ROUGHER = 1.3
 
 
 # Samples in a piece of a coarsely converted signal; within how many steps, or deviations of its noise, it is steady;
@@ -79,6 +82,12 @@ class Noise:
     def __bool__(self) -> bool:
         return self.white > 0 or self.lasting > 0
 
+    @property
+    def roughness(self) -> float:
+        """Standard deviation of white noise with second differences as large."""
+        k = self.keep
+        return float(np.sqrt(self.white**2 + self.lasting**2 * (6 - 8 * k + 2 * k**2) / 6))
+
     def draw(self, rng: np.random.Generator, rows: int) -> Array:
         """(rows,) of it."""
         fresh = self.lasting * np.sqrt(1 - self.keep**2) * rng.standard_normal(rows)
@@ -86,34 +95,41 @@ class Noise:
 
 
 def noise_of_input(y: Array, step: float = 0.0) -> Noise:
-    """The noise on a signal that is mostly steady or sloping: what lines through its quieter pieces leave.
+    """The noise on a signal that is mostly smooth: what lines through its quieter pieces leave.
 
-    The autocovariance of what is left tells the lasting part from the white one; that the lines have taken some of the noise
-    along is allowed for.
+    The autocovariance of what is left tells the lasting part from the white one, and both from the signal's own bends, taken
+    as a parabola and a cubic in each piece; that the lines have taken some of the noise along is allowed for. A lasting part
+    that would scatter more from sample to sample than the signal does is none, but a signal that bends faster.
     """
     white = noise_sd(y, step)
     pieces = len(y) // PIECE
     if pieces < 8 or white <= 0 or white < step:
         return Noise(white)
     cut = y[: pieces * PIECE].reshape(pieces, PIECE)
-    line = np.column_stack([np.ones(PIECE), np.linspace(-1, 1, PIECE)])
-    without = np.eye(PIECE) - line @ np.linalg.pinv(line)
+    powers = np.linalg.qr(np.vander(np.linspace(-1, 1, PIECE), 4, increasing=True))[0]
+    line, bends = powers[:, :2], powers[:, 2:]
+    without = np.eye(PIECE) - line @ line.T
     left = cut @ without
     power = np.mean(left**2, axis=1)
-    # Pieces in which the signal itself bends are far louder than the quietest.
+    # Pieces in which the signal jumps are far louder than the quietest.
     quiet = left[power <= LOUD * np.quantile(power, 0.1)]
     seen = np.array([np.mean(quiet[:, : PIECE - lag] * quiet[:, lag:]) for lag in LAGS])
     if seen[1] < LASTS * seen[0]:
         return Noise(white)
-    best = (np.inf, Noise(white))
     apart = np.abs(np.subtract.outer(np.arange(PIECE), np.arange(PIECE)))
+
+    def shape(covariance: Array) -> list[float]:
+        return [float(np.mean(np.diagonal(without @ covariance @ without, lag))) for lag in LAGS]
+
+    others = [shape(np.eye(PIECE)), *(shape(np.outer(bend, bend)) for bend in bends.T)]
+    best = (np.inf, Noise(white))
     for keep in KEEPS:
-        lasting = without @ keep**apart @ without
-        shapes = np.array([[np.mean(np.diagonal(part, lag)) for lag in LAGS] for part in (without, lasting)])
-        sizes, error = nnls(shapes.T, seen)
+        sizes, error = nnls(np.array([shape(keep**apart), *others]).T, seen)
         if error < best[0]:
-            best = (error, Noise(float(np.sqrt(sizes[0])), float(np.sqrt(sizes[1])), keep))
-    return best[1]
+            best = (error, Noise(float(np.sqrt(sizes[1])), float(np.sqrt(sizes[0])), keep))
+    found = best[1]
+    counts = found.lasting**2 > LASTS * (found.white**2 + found.lasting**2)
+    return found if counts and found.roughness < ROUGHER * white else Noise(white)
 
 
 def smoothed(y: Array, step: float = 0.0) -> Array:

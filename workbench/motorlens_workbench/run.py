@@ -27,6 +27,8 @@ ROWS = 30_000
 COARSEST = 32
 # Noise, in steps, from which on levels are a converter's.
 TOGGLES = 0.05
+# The lean of a converter from which on its steps show.
+LEANS = 0.05
 # From one sample to the next at rated speed, rad: further, the angle is anybody's guess.
 HALF_TURN = 3.14
 # Consecutive samples of exactly 0, at the start or the end, that are no chance.
@@ -113,6 +115,11 @@ class Run:
     def disturbed(self) -> bool:
         """Whether the errors of its inputs are known to be worth a thought."""
         return any(self.input_noise) or any(self.input_step)
+
+    @property
+    def coarse(self) -> bool:
+        """Whether a channel's converter leans: its noise does not blur its steps."""
+        return any(converter.lean > LEANS for converter in self.converters)
 
     def stirred(self, seed: int, sign: float) -> "Run":
         """With errors of its inputs as large again as those that smoothing left; itself if they were not smoothed.
