@@ -41,6 +41,20 @@ def magnitude(z: Any, rounding: Any) -> Any:
     return sqrt(z * z + rounding * rounding) - rounding
 
 
+# Share of its knee within which a saturating term is smooth whatever its sharpness.
+KNEE_ROUNDING = 1e-3
+
+
+def saturated(z: Any, knee: Any, sharpness: Any) -> Any:
+    """A smooth sign of z that has built up at `knee`: z / (|z|^s + knee^s)^(1/s), the larger s the sharper.
+
+    >>> [round(saturated(3.0, 4.0, s), 4) for s in (1.0, 2.0)]
+    [0.4286, 0.6]
+    """
+    size = sqrt(z * z + (KNEE_ROUNDING * knee) ** 2)
+    return z / knee / ((size / knee) ** sharpness + 1) ** (1 / sharpness)
+
+
 # Speed within which |w| is rounded off, rad/s: far below any speed at which a fan blows or iron is remagnetised.
 SPEED_ROUNDING = 1e-3
 

@@ -87,7 +87,11 @@ def test_linear_theory_of_the_cold_motor():
 
 
 def test_effects_add_in_any_order():
-    brush, friction, node = BrushVoltageDrop(V_b=1.5), CoulombFriction(tau_c=0.2), TwoNodeThermal(G_h=2.0)
+    brush, friction, node = (
+        BrushVoltageDrop(V_b=1.5, i_s=1e-3),
+        CoulombFriction(tau_c=0.2),
+        TwoNodeThermal(G_h=2.0),
+    )
     x, u = At(i=3.0, w=20.0, theta=30.0, theta_h=12.0), at(v=20.0)
     one = MOTOR.with_effect(brush).with_effect(friction).with_effect(node)
     other = MOTOR.with_effect(node).with_effect(brush).with_effect(friction)
@@ -99,11 +103,12 @@ def test_effects_add_in_any_order():
 
 
 def test_a_saturated_inductance_stands_before_the_derivative_and_changes_no_steady_state():
-    motor = MOTOR.with_effect(InductanceSaturation(s=0.01)).with_effect(BrushVoltageDrop(V_b=1.5))
+    motor = MOTOR.with_effect(InductanceSaturation(s=0.01))
+    motor = motor.with_effect(BrushVoltageDrop(V_b=1.5, i_s=1e-3))
     x = At(i=10.0, w=0.0, theta=0.0)
     assert motor.inductance(x, at()) == pytest.approx(MOTOR.L / 2)  # s i^2 = 1
     assert motor.rates(x, at(v=30.0))["i"] == pytest.approx((30.0 - 17.0 - 1.5) / (MOTOR.L / 2))
-    assert motor.rates(x, at(v=18.5))["i"] == pytest.approx(0.0, abs=1e-9)
+    assert motor.rates(x, at(v=18.5))["i"] == pytest.approx(0.0, abs=1e-5)
 
 
 def test_effects_are_added_replaced_and_taken_away():

@@ -9,10 +9,12 @@ from helpers.recordings import needs_recordings, regbot
 
 from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
+from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.dead_channels import dead_channels, without
 from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.run import prepare
 
+MELLAH = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "hidden_effect" / "regbot.toml"
 ROBOTS = (1, 3, 4, 5, 10)
 
@@ -41,6 +43,47 @@ def test_of_the_robots_only_the_broken_current_sensor_is_dead(side: str) -> None
         ((channel, gain),) = broken
         assert channel == "current"
         assert abs(gain) < 0.2
+
+
+@pytest.mark.parametrize("channel", ["current", "speed"])
+@pytest.mark.parametrize(("gain", "faulty"), [(-1.0, True), (0.05, True), (0.6, False), (1.5, False)])
+def test_a_sensor_with_its_wires_swapped_is_found(channel: str, gain: float, faulty: bool) -> None:
+    file = read_motor_file(MELLAH)
+    rng, time = np.random.default_rng(2), np.arange(4000) * 0.002
+    voltage = 100 * np.repeat(rng.uniform(-1, 1, 16), 250)
+    truth = simulate(file.motor, Inputs(time, voltage, np.zeros(4000), np.full(4000, 20.0), held=True))
+    shown = {"current": truth.current_A + 0.02 * rng.standard_normal(4000)}
+    shown["speed"] = truth.speed_rad_s + 0.2 * rng.standard_normal(4000)
+    shown[channel] = gain * shown[channel]
+    recording = Recording("bench", time, {"voltage": voltage, "load_torque": np.zeros(4000), **shown})
+    found = dead(file, recording)
+    assert [name for name, _ in found] == ([channel] if faulty else [])
+    if faulty:
+        assert found[0][1] == pytest.approx(gain, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("noise", "until", "hung"), [(0.2, 3000, (6.0, 7.998)), (0.2, 4000, None), (0.0, 3000, None)]
+)
+def test_a_sensor_that_hangs_is_found_by_its_lack_of_noise(noise: float, until: int, hung: object) -> None:
+    """A stuck third is told from a steady speed in a recording without noise."""
+    file = read_motor_file(MELLAH)
+    rng, time = np.random.default_rng(2), np.arange(4000) * 0.002
+    voltage = 100 * np.repeat(rng.uniform(-1, 1, 4), 1000)
+    truth = simulate(file.motor, Inputs(time, voltage, np.zeros(4000), np.full(4000, 20.0), held=True))
+    speed = truth.speed_rad_s + noise * rng.standard_normal(4000)
+    speed[until:] = speed[min(until, 3999)]
+    current = truth.current_A + 0.1 * noise * rng.standard_normal(4000)
+    channels = {"voltage": voltage, "load_torque": np.zeros(4000), "current": current, "speed": speed}
+    run = prepare(Recording("bench", time, channels), file)
+    assert run.hung == ({"speed": hung} if hung else {})
+    if hung:
+        assert not run.valid[3000:].any()
+        assert run.valid[:3000].all()
+        base, used = base_fit(file, (run,))
+        (found,) = dead_channels(file, base, used)
+        assert (found.name, found.hung) == ("speed_sensor_gain", hung)
+        assert without(used, [found])[0].channels == run.channels
 
 
 def changed(recording: Recording, channel: str, values: np.ndarray) -> Recording:

@@ -1,9 +1,9 @@
-"""Channels that show nothing of what they should: a sensor that died, a wire that fell off, an amplifier full of noise.
+"""Channels that show nothing of what they should: a sensor that died or was connected the wrong way round, a loose wire.
 
 The least squares of a whole model would spend its parameters on such a channel, so it is looked for first: the textbook is
 fitted to the other channels alone, and what it then says of the one left out is compared with what that one shows. A channel
-of which nothing follows, while the others follow the model, has a gain of about zero (Isermann 2006, Fault-Diagnosis
-Systems, ISBN 978-3-540-24112-6, section 10.1: parity with a model of the process).
+of which nothing follows, while the others follow the model, has a gain of about zero, one whose wires are swapped a negative
+one (Isermann 2006, Fault-Diagnosis Systems, ISBN 978-3-540-24112-6, section 10.1: parity with a model of the process).
 """
 
 from collections.abc import Sequence
@@ -43,6 +43,7 @@ class DeadChannel:
         channel: "current" or "speed".
         gain: shown over predicted.
         sd: its standard deviation.
+        hung: when it first and last hung, in s; None where it is dead, or reversed, all along.
     """
 
     run: int
@@ -50,6 +51,14 @@ class DeadChannel:
     channel: str
     gain: float
     sd: float
+    hung: tuple[float, float] | None = None
+
+    @property
+    def state(self) -> str:
+        """What is wrong with it, in a few words."""
+        if self.hung is not None:
+            return f"hangs between {self.hung[0]:.6g} and {self.hung[1]:.6g} s"
+        return f"{'reversed' if self.gain < -DEAD else 'dead'}, gain {self.gain:.2f}"
 
     @property
     def name(self) -> str:
@@ -59,8 +68,11 @@ class DeadChannel:
     @property
     def sentence(self) -> str:
         """For the reader."""
+        if self.hung is not None:
+            return f"The {self.channel} sensor of {self.recording} {self.state}: these samples were left out."
+        state = "is reversed" if self.gain < -DEAD else "is dead"
         return (
-            f"The {self.channel} sensor of {self.recording} is dead: what it shows follows the {self.channel} that the "
+            f"The {self.channel} sensor of {self.recording} {state}: what it shows follows the {self.channel} that the "
             f"other channels demand with a gain of {self.gain:.2f} +- {self.sd:.2f}. It was left out of the rest."
         )
 
@@ -69,6 +81,7 @@ def dead_channels(file: MotorFile, base: Fit, runs: Sequence[Run]) -> tuple[Dead
     """Channels whose content the other channels contradict; `base` is the fit to all of them, from the motor file."""
     found = []
     for r, run in enumerate(runs):
+        found += [DeadChannel(r, run.name, channel, 0.0, 0.0, when) for channel, when in run.hung.items()]
         for channel in run.channels:
             if channel not in PREDICTABLE or len(run.channels) < 2:
                 continue
@@ -83,10 +96,11 @@ def dead_channels(file: MotorFile, base: Fit, runs: Sequence[Run]) -> tuple[Dead
 
 
 def without(runs: Sequence[Run], dead: Sequence[DeadChannel]) -> tuple[Run, ...]:
-    """The runs with their dead channels left out."""
+    """The runs with their dead channels left out; where a channel hung, its samples are not valid anyway."""
     kept = list(runs)
     for one in dead:
-        kept[one.run] = left_out(kept[one.run], one.channel)
+        if one.hung is None:
+            kept[one.run] = left_out(kept[one.run], one.channel)
     return tuple(kept)
 
 
@@ -130,7 +144,8 @@ def _judge(file: MotorFile, held: bool, run: Run, r: int, channel: str) -> DeadC
     # What is left may be coloured: by blocks, not by samples.
     scores = [float(part_x @ part_y) for part_x, part_y in zip(_blocks(x), _blocks(left), strict=True)]
     sd = float(np.sqrt(np.sum(np.square(scores))) / (x @ x))
-    if abs(gain) + 2 * sd > DEAD:
+    dead, reversed_ = abs(gain) + 2 * sd <= DEAD, gain + 2 * sd < -DEAD
+    if not (dead or reversed_):
         return None
     return DeadChannel(r, run.name, channel, gain, sd)
 

@@ -134,7 +134,7 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     words = {name: name.replace("_", " ") for name in found.first.tests}
     said = [f"{words.get(name, name.replace('_', ' '))}{_size(found, name)}" for name in verdict.chosen]
     if found.dead:
-        dead = [f"{one.channel} sensor of {one.recording} (dead, gain {one.gain:.2f})" for one in found.dead]
+        dead = [f"{one.channel} sensor of {one.recording} ({one.state})" for one in found.dead]
         faults = {one.name for one in found.dead}
         others = [
             " or ".join(words.get(one, one) for one in group)

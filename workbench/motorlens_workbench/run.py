@@ -33,6 +33,9 @@ LEANS = 0.05
 HALF_TURN = 3.14
 # Consecutive samples of exactly 0, at the start or the end, that are no chance.
 AT_REST = 5
+# Consecutive samples with the same number that are a channel that hangs, where noise keeps others from being equal: the
+# share of equal neighbours elsewhere, and the noise as a share of the range.
+HANGS, EQUAL, NOISY = 100, 0.2, 1e-4
 # The ambient temperature is averaged over this long.
 AMBIENT_S = 60.0
 
@@ -59,6 +62,7 @@ class Run:
         converters: of the channels.
         turns: whether what goes with the shaft angle is looked for in it, see `prepare_all`.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
+        hung: channel -> when it first and last hung, in s; these samples are not valid.
     """
 
     name: str
@@ -78,6 +82,7 @@ class Run:
     converters: tuple[Converter, ...] = ()
     turns: bool = True
     shaft: Mapping[str, Array] | None = None
+    hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -185,10 +190,14 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
     ambient = moving_mean(time, ambient, AMBIENT_S)
     every = max(1, -(-rows // ROWS))
+    hung: dict[str, tuple[float, float]] = {}
     for k, channel in enumerate(used):
         y = recording.channels[channel]
-        there = np.isfinite(y)
-        valid &= there
+        there, hangs = np.isfinite(y), hanging(y)
+        valid &= there & ~hangs
+        if hangs.any():
+            first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
+            hung[channel] = (first, last)
         measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
         # While a coarse converter shows the same number, its error stays the same too: the whole dwell counts as one sample.
@@ -224,7 +233,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     return Run(
         recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse,
         offset_below=exact, converters=tuple(converter_of(recording.channels[q]) for q in used),
-        shaft=shaft,
+        shaft=shaft, hung=hung,
     )  # fmt: skip
 
 
@@ -241,6 +250,24 @@ def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, 
     return tuple(
         replace(run, turns=run.angle is not None if measured else run is finest and fine) for run in runs
     )
+
+
+def hanging(y: Array) -> NDArray[np.bool_]:
+    """(N,) whether a channel shows one number, not 0, for so long that its noise cannot have let it.
+
+    >>> noise = np.random.default_rng(0).standard_normal(1000)
+    >>> stuck = np.where(np.arange(1000) < 700, noise, noise[700])
+    >>> int(hanging(noise).sum()), int(hanging(stuck).sum()), int(hanging(np.round(noise)).sum())
+    (0, 300, 0)
+    """
+    begins = np.flatnonzero(np.concatenate([[True], np.diff(y) != 0]))
+    lengths = np.diff(np.append(begins, len(y)))
+    hangs = np.repeat((lengths >= HANGS) & (y[begins] != 0), lengths)
+    rest = y[~hangs & np.isfinite(y)]
+    if not hangs.any() or len(rest) < HANGS or np.mean(np.diff(rest) == 0) > EQUAL:
+        return np.zeros(len(y), dtype=bool)
+    noisy = noise_sd(rest) > NOISY * float(np.ptp(rest))
+    return np.asarray(hangs & noisy)
 
 
 def largest_offset(y: Array) -> float | None:

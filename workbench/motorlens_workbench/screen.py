@@ -245,7 +245,7 @@ def products_with(
         pieces = [rows for k, rows in layout(runs, whiteners) if k == r]
         for rows, part in zip(pieces, whitener.pieces(one.table, pieces), strict=True):
             flat = part[kept[rows]].reshape(-1, part.shape[2])
-            products.append(flat[:, :-1].T @ white[rows][kept[rows]].reshape(len(flat), -1))
+            products.append(flat[:, :-1].T @ white[rows][kept[rows]].reshape(len(flat), white.shape[2]))
     return np.array(products)
 
 

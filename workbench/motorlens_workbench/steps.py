@@ -117,7 +117,7 @@ def advance(
         }
         if good:
             winner = simplest(good, tests, runs)
-            return _accept(now, tests, winner, refits), broken
+            return _accept(now, tests, winner, refits, runs), broken
         broken += [test.candidate.name for test in near]
         tests = {name: test for name, test in tests.items() if name not in broken}
     return None, broken
@@ -152,7 +152,9 @@ def _unmasked(
             refits[name], seen[name] = tried, replace(test, score=test.score.inflated(even))
     if not refits:
         return None
-    return _accept(replace(now, tests={**now.tests, **seen}), seen, simplest(refits, seen, runs), refits)
+    return _accept(
+        replace(now, tests={**now.tests, **seen}), seen, simplest(refits, seen, runs), refits, runs
+    )
 
 
 def evenness(found: Fit, test: Test, runs: Sequence[Run]) -> float | None:
@@ -173,18 +175,21 @@ def simplest(good: Mapping[str, Fit], tests: Mapping[str, Test], runs: Sequence[
     best = min(good, key=lambda name: total(good[name]))
     score_of_best = tests[best].score
     assert score_of_best is not None
-    blocks = {name: errors_by_block(tried, runs) for name, tried in good.items()}
 
     def as_good(name: str) -> bool:
-        worse = total(good[name]) - total(good[best])
-        apart = blocks[name] - blocks[best]
-        scatter = float(np.sqrt(np.sum((apart - apart.mean()) ** 2)))
+        worse, scatter = compared(good[name], good[best], runs)
         return worse <= max(AS_GOOD, min(AS_GOOD * score_of_best.inflation, SURE * scatter))
 
     return min(
         (name for name in good if as_good(name)),
         key=lambda name: (tests[name].candidate.claims, total(good[name])),
     )
+
+
+def compared(one: Fit, other: Fit, runs: Sequence[Run]) -> tuple[float, float]:
+    """By how much a fit is worse than another, and the standard deviation of that by its scatter between blocks of time."""
+    apart = errors_by_block(one, runs) - errors_by_block(other, runs)
+    return total(one) - total(other), float(np.sqrt(np.sum((apart - apart.mean()) ** 2)))
 
 
 def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: Progress) -> Step | None:
@@ -200,13 +205,13 @@ def _first_of(now: Look, together: tuple[Test, Test], runs: Sequence[Run], say: 
     found = refit(now.found, now.evidence, one, runs)
     if found is None or not total(now.found) - total(found) > 0.3 * one.gain:
         return None
-    step = _accept(
-        replace(now, left=beside, tests=tests), tests, one.candidate.name, {one.candidate.name: found}
-    )
-    return step
+    alone = {one.candidate.name: found}
+    return _accept(replace(now, left=beside, tests=tests), tests, one.candidate.name, alone, runs)
 
 
-def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fit]) -> Step:
+def _accept(
+    now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fit], runs: Sequence[Run]
+) -> Step:
     chosen = tests[winner]
     assert chosen.score is not None
     found = refits[winner]
@@ -219,7 +224,12 @@ def _accept(now: Look, tests: dict[str, Test], winner: str, refits: dict[str, Fi
         # Twins are as significant as each other; a column of scatter is not a rival however large its gain.
         if not test.allowed or (test.statistic < 0.3 * chosen.statistic and name not in refits):
             continue
-        by_screen = chosen.score.gain - test.score.gain
-        loss = total(refits[name]) - total(found) if name in refits else by_screen
-        losses[name] = max(loss, 0.0) / chosen.score.inflation
+        inflation = chosen.score.inflation
+        if name in refits:
+            loss, scatter = compared(refits[name], found, runs)
+            # A difference d of white noise has the variance 4 d.
+            inflation = min(inflation, max(1.0, scatter**2 / (4 * loss))) if loss > 0 else inflation
+        else:
+            loss = chosen.score.gain - test.score.gain
+        losses[name] = max(loss, 0.0) / inflation
     return Step(chosen, found, gain, losses, alike, {k: v for k, v in refits.items() if k != winner})

@@ -4,20 +4,21 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.ops import tanh
+from motorlens_physics.ops import saturated
 from motorlens_physics.parameter import param
 
 
 @dataclass(frozen=True)
 class BrushVoltageDrop(Effect):
-    """A voltage drop at the brushes that hardly depends on the current: -V_b tanh(i / i_s), always against the current.
+    """A voltage drop at the brushes that hardly depends on the current: -V_b s(i), always against the current.
 
-    The drop times the current heats the commutator, which shares its heat with the winding: +V_b tanh(i / i_s) i.
+    s(i) = i / (|i|^m + i_s^m)^(1/m) is a smooth sign, whose knee differs from brush to brush. The drop times the current
+    heats the commutator, which shares its heat with the winding: +V_b s(i) i.
     IEEE Std 113-1985, Guide: Test Procedures for Direct-Current Machines, 5.7 (2 V for a pair of carbon brushes).
 
     >>> from types import SimpleNamespace as At
-    >>> round(BrushVoltageDrop(V_b=1.5, i_s=0.5).heat(None, At(i=0.4), None), 6)  # 1.5 tanh(0.8) 0.4
-    0.398422
+    >>> round(BrushVoltageDrop(V_b=1.5, i_s=0.3).heat(None, At(i=0.4), None), 4)  # 1.5 0.4 / 0.5 0.4
+    0.48
     """
 
     excited_by: ClassVar[tuple[str, ...]] = ("load_steps", "locked_rotor")
@@ -33,9 +34,10 @@ class BrushVoltageDrop(Effect):
         prior=0.02,
         of="current",
     )
+    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.0, 8.0), prior=2.0)
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
-        return -self.V_b * tanh(x.i / self.i_s)
+        return -self.V_b * saturated(x.i, self.i_s, self.m)
 
     def heat(self, m: Any, x: Any, u: Any) -> Any:
-        return self.V_b * tanh(x.i / self.i_s) * x.i
+        return self.V_b * saturated(x.i, self.i_s, self.m) * x.i

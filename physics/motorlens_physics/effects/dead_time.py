@@ -4,22 +4,22 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.ops import tanh
+from motorlens_physics.ops import saturated
 from motorlens_physics.parameter import param
 
 
 @dataclass(frozen=True)
 class DeadTime(Effect):
-    """While both switches are off, the diodes choose the voltage against the current: -V_dt tanh(i / i_r).
+    """While both switches are off, the diodes choose the voltage against the current: -V_dt s(i).
 
     V_dt = f_s t_d V_bus, of a voltage computed from the duty cycle; measured terminal voltage has it not. The current's
-    ripple, of amplitude i_r, smooths it. Unlike a brush drop it heats none of the motor; without temperature the two
-    are twins.
+    ripple, of amplitude i_r, smooths it: s(i) = i / (|i|^m + i_r^m)^(1/m). Unlike a brush drop it heats none of the motor;
+    without temperature the two are twins.
     Jeong and Park (1991), The analysis and compensation of dead-time effects in PWM inverters, doi:10.1109/41.88903.
 
     >>> from types import SimpleNamespace as At
-    >>> round(DeadTime(V_dt=0.8, i_r=0.5).voltage(None, At(i=-0.3), None), 6)  # 0.8 tanh(0.6)
-    0.42964
+    >>> round(DeadTime(V_dt=0.8, i_r=0.4).voltage(None, At(i=-0.3), None), 4)  # 0.8 0.3 / 0.5
+    0.48
     """
 
     excited_by: ClassVar[tuple[str, ...]] = ("load_steps", "slow_ramp", "locked_rotor")
@@ -35,6 +35,7 @@ class DeadTime(Effect):
         prior=0.05,
         of="current",
     )
+    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.0, 8.0), prior=2.0)
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
-        return -self.V_dt * tanh(x.i / self.i_r)
+        return -self.V_dt * saturated(x.i, self.i_r, self.m)
