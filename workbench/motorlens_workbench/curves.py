@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 UNITS = {"voltage": "V", "torque": "N*m", "heat": "W"}
 # Against what, and with how many knots: finer than the bumps that a coarse curve would miss.
-KNOTS = {"speed": 32, "current": 12, "temperature": 8, "time": 12}
+KNOTS = {"speed": 18, "current": 12, "temperature": 8, "time": 12}
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,9 @@ ALIVE = 0.25
 DEAD = 0.25
 # Share of the other channels' variance that the model must explain, for its word to count against the one left out.
 TRUSTED = 0.8
-# What is predicted for the channel must stand out of what the channel shows beside.
-VISIBLE = 0.3
+# What is predicted for the channel must stand out of what the channel shows beside, and be a share of its rated value: the
+# little that noise of the inputs demands near standstill is no reason to call a sensor dead.
+VISIBLE, SIZEABLE = 0.3, 0.05
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,8 @@ def _judge(file: MotorFile, held: bool, run: Run, r: int, channel: str) -> DeadC
     if np.var(run.average(again - said)[fresh, c]) > (1 - TRUSTED) * np.var(x):
         return None
     x, y = x - x.mean(), y - y.mean()
-    if np.std(x) < max(VISIBLE * np.std(y), quantisation_step(run.measured[:, c])):
+    rated = {"current": file.rated.current_A, "speed": file.rated.speed_rad_s}[channel]
+    if np.std(x) < max(VISIBLE * np.std(y), quantisation_step(run.measured[:, c]), SIZEABLE * rated):
         return None
     gain = float(x @ y / (x @ x))
     left = y - gain * x
