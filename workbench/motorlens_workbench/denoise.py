@@ -25,6 +25,8 @@ CONFIDENCE = 2.4
 # the next.
 PIECE, LOUD, LAGS, LASTS = 64, 4.0, (0, 1, 2, 3, 4, 6, 8, 12, 16, 24), 0.2
 KEEPS = (0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
+# How much better the signal's own bends must fit than noise that lasts alone.
+FITS = 3.0
 # How much more than the signal the noise found in it may scatter from sample to sample.
 ROUGHER = 1.3
 
@@ -97,9 +99,9 @@ class Noise:
 def noise_of_input(y: Array, step: float = 0.0) -> Noise:
     """The noise on a signal that is mostly smooth: what lines through its quieter pieces leave.
 
-    The autocovariance of what is left tells the lasting part from the white one, and both from the signal's own bends, taken
-    as a parabola and a cubic in each piece; that the lines have taken some of the noise along is allowed for. A lasting part
-    that would scatter more from sample to sample than the signal does is none, but a signal that bends faster.
+    The autocovariance of what is left tells the lasting part from the white one; that the lines have taken some of the noise
+    along is allowed for. Where it does not fit, the signal itself bends, as a parabola and a cubic in each piece. A lasting
+    part that would scatter more from sample to sample than the signal does is none, but a signal that bends faster.
     """
     white = noise_sd(y, step)
     pieces = len(y) // PIECE
@@ -121,13 +123,16 @@ def noise_of_input(y: Array, step: float = 0.0) -> Noise:
     def shape(covariance: Array) -> list[float]:
         return [float(np.mean(np.diagonal(without @ covariance @ without, lag))) for lag in LAGS]
 
-    others = [shape(np.eye(PIECE)), *(shape(np.outer(bend, bend)) for bend in bends.T)]
-    best = (np.inf, Noise(white))
-    for keep in KEEPS:
-        sizes, error = nnls(np.array([shape(keep**apart), *others]).T, seen)
-        if error < best[0]:
-            best = (error, Noise(float(np.sqrt(sizes[1])), float(np.sqrt(sizes[0])), keep))
-    found = best[1]
+    def fitted(others: list[list[float]]) -> tuple[float, Noise]:
+        tried = [(keep, *nnls(np.array([shape(keep**apart), *others]).T, seen)) for keep in KEEPS]
+        keep, sizes, error = min(tried, key=lambda one: one[2])
+        return error, Noise(float(np.sqrt(sizes[1])), float(np.sqrt(sizes[0])), keep)
+
+    white_part = shape(np.eye(PIECE))
+    error, found = fitted([white_part])
+    error_bent, bent = fitted([white_part, *(shape(np.outer(bend, bend)) for bend in bends.T)])
+    if error > FITS * error_bent:
+        found = bent
     counts = found.lasting**2 > LASTS * (found.white**2 + found.lasting**2)
     return found if counts and found.roughness < ROUGHER * white else Noise(white)
 
