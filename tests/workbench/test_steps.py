@@ -58,8 +58,8 @@ def test_who_is_refitted_beside_the_best(statistic, gain, alike, rival, monkeypa
 @pytest.mark.parametrize(
     ("steps", "left", "whole", "far", "against"),
     [
-        ([], [40.0], [], False, None),  # a curve without a name must explain half a hundredth
-        ([], [60.0], [], False, 60.0),
+        ([], [70.0], [], False, None),  # a curve without a name must explain eight thousandths
+        ([], [90.0], [], False, 90.0),
         ([1000.0], [140.0], [900.0], False, None),
         ([1000.0], [160.0], [900.0], False, 160.0),
         ([600.0, 300.0, 100.0], [60.0], [1200.0], False, 60.0),  # after three names less is enough
@@ -82,7 +82,7 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
 
 
 @pytest.mark.parametrize(
-    ("coarse", "gain", "named"), [(False, 60.0, True), (True, 140.0, False), (True, 160.0, True)]
+    ("coarse", "gain", "named"), [(False, 90.0, True), (True, 230.0, False), (True, 250.0, True)]
 )
 def test_a_curve_must_stand_out_of_a_coarse_converter(coarse, gain, named):
     found = SimpleNamespace(

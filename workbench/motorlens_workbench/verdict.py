@@ -24,7 +24,7 @@ GROUP = 6
 # A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
 BETTER = 0.15
 # Share of the whitened sum of squares that a curve must explain where nothing was named: without a name, more is asked.
-UNNAMED = 5e-3
+UNNAMED = 8e-3
 # How many times that where a converter's steps are coarse beside its noise: their error goes with the signals too.
 COARSE = 3.0
 # What BETTER is where as many effects as may be were named already, and what a single curve may explain from the start, over
