@@ -221,7 +221,7 @@ def _inner(bounds: tuple[float, float], value: float) -> tuple[float, float]:
     return low, bounds[1]
 
 
-def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], rounds: int = 5) -> Fit | None:
+def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], rounds: int = 12) -> Fit | None:
     """The whole model fitted again with the candidate in it; None if no start can be simulated."""
     linear, prior = with_candidate(found, evidence, test)
     unmoved = found.model.with_values({})

@@ -30,8 +30,9 @@ AMONG = 0.003
 TOLD_APART = 14.0
 # Squared correlation from which on a candidate is nearly a copy, and the share of the other's gain that mends its shape.
 NEAR, MENDS = 0.9, 0.1
-# How many times what stands out a candidate must explain to be looked at though it is uneven, and how many are.
-MASKED, MOST_MASKED = 4.0, 4
+# How many times what stands out, and what share of the squared error, a candidate must explain to be looked at though it is
+# uneven, and how many are.
+MASKED, STRONG, MOST_MASKED = 4.0, 0.02, 4
 # 2 log likelihood by which a more involved effect must be better than a simpler one.
 AS_GOOD = 6.0
 # Standard deviations by which it must be better if its errors scatter.
@@ -134,7 +135,8 @@ def _unmasked(
     masked = [
         test
         for test in tests.values()
-        if test.gain > max(MASKED * known, MASKED * REAL) and test.statistic <= threshold(now, test)
+        if test.gain > max(MASKED * known, MASKED * REAL, STRONG * now.samples)
+        and test.statistic <= threshold(now, test)
     ]
     masked.sort(key=lambda test: -test.gain)
     masked = masked[:MOST_MASKED]
