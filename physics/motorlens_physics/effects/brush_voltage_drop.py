@@ -34,7 +34,7 @@ class BrushVoltageDrop(Effect):
         prior=0.02,
         of="current",
     )
-    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.0, 8.0), prior=2.0)
+    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0)
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
         return -self.V_b * saturated(x.i, self.i_s, self.m)

@@ -35,7 +35,7 @@ class DeadTime(Effect):
         prior=0.05,
         of="current",
     )
-    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.0, 8.0), prior=2.0)
+    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0)
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
         return -self.V_dt * saturated(x.i, self.i_r, self.m)

@@ -144,9 +144,10 @@ def serve(arguments: argparse.Namespace) -> int:
         session = Session(shelf, Path(results), arguments.effects_from)
         page = WorkbenchPage(session, chosen, sorted({*catalogue(), *own, *sensor_models()}))
         server = LoopbackServer(page.answer, arguments.port)
-        announce("workbench", server.url, not arguments.no_browser)
+        # Before the address is told: who reads it may end the command at once.
         stopped = threading.Event()
         signal.signal(signal.SIGTERM, lambda number, frame: stopped.set())
+        announce("workbench", server.url, not arguments.no_browser)
         try:
             stopped.wait()
         except KeyboardInterrupt:
