@@ -122,7 +122,7 @@ def test_rates_and_jacobian_are_those_of_the_motor_with_every_effect():
             by_hand = (
                 210 - m.R_a0 * (1 + m.alpha * 45) * 6 - m.ke * 180 - e.V_b * 6 / np.hypot(6, e.i_s)
             ) / m.L
-            assert found[0] == pytest.approx(by_hand, rel=1e-6)
+            assert found[0] == pytest.approx(by_hand, rel=1e-9)
 
 
 def test_free_parameters_stay_symbols():

@@ -195,7 +195,9 @@ def test_detectable_size_grows_with_the_noise() -> None:
 KEY = Path(__file__).resolve().parents[2] / "benchmarks" / "hidden_effects" / "subset-key.jsonl"
 
 
-@pytest.mark.parametrize("name", ["subset-0024", "subset-0031", "subset-0037", "subset-0047"])
+@pytest.mark.parametrize(
+    "name", ["subset-0024", "subset-0030", "subset-0031", "subset-0037", "subset-0038", "subset-0047"]
+)
 def test_the_recordings_hold_what_the_key_says(name: str, tmp_path: Path) -> None:
     """Generalised least squares on the files, with the generator's columns: the multiple of the hidden size is one."""
     truth = next(

@@ -13,9 +13,11 @@ from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.denoise import noise_of_input
 from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.evidence import Evidence
-from motorlens_workbench.input_errors import without_input_errors
+from motorlens_workbench.fitting import base_prior, fit, start_model
+from motorlens_workbench.input_errors import feigned, without_input_errors
+from motorlens_workbench.model import predict
 from motorlens_workbench.run import prepare
-from motorlens_workbench.screen import all_columns, evidence_of, with_priors
+from motorlens_workbench.screen import all_columns, columns_of, evidence_of, products_with, with_priors
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -102,6 +104,40 @@ def test_least_squares_is_freed_of_the_bias_of_a_noisy_voltage():
         after.append((value + move) / file.values()["L"] - 1)
     assert np.sqrt(np.mean(np.square(before))) > 0.04
     assert np.sqrt(np.mean(np.square(after))) < 0.65 * np.sqrt(np.mean(np.square(before)))
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_what_is_feigned_is_what_both_ways_in_full_give(smooth):
+    """Against the columns simulated both ways for each draw, of which the code simulates one."""
+    file = read_motor_file(MOTOR)
+    rows, rng = 6000, np.random.default_rng(1)
+    time = np.arange(rows) * 0.002
+    inputs = Inputs(time, 30 * programme(rng, rows), np.zeros(rows), np.full(rows, 20.0))
+    truth = simulate(file.motor, inputs, smooth=True)
+    channels = {
+        "voltage": inputs.voltage_V + 0.5 * rng.standard_normal(rows), "load_torque": np.zeros(rows),
+        "current": truth.current_A + 0.02 * rng.standard_normal(rows),
+        "speed": truth.speed_rad_s + 0.05 * rng.standard_normal(rows),
+    }  # fmt: skip
+    shown = prepare(Recording("noisy", time, channels), file)
+    quiet = shown.quieter()
+    run = quiet if smooth else replace(shown, input_noise=quiet.input_noise)
+    prior = base_prior(file, [run])
+    found = fit(start_model(file, [run]), [run], prior)
+    short = feigned(found.model, prior, [run], found.whiteners, (), (), False).mean(axis=0).sum(axis=0)
+    true = run.average(predict(found.model, run, 0)[1])
+    full = []
+    for draw in range(2):
+        for sign in (1.0, -1.0):
+            moved = run.stirred(draw, sign)
+            one = columns_of(found.model, moved, 0, prior.keys, prior.sd, (), (), False)
+            left = one.residual + true - moved.average(moved.measured)
+            full.append(products_with([one], [left], [run], found.whiteners)[:, :, 0].sum(axis=0))
+    wanted = np.mean(full, axis=0)
+    # The inductance, which such noise biases most; and all others far within the scatter between draws and ways.
+    inductance = prior.keys.index("L")
+    assert short[inductance] == pytest.approx(wanted[inductance], rel=0.05)
+    assert (np.abs(short - wanted) < 0.05 * np.std(full, axis=0) + 1e-6).all()
 
 
 def test_runs_without_noise_on_their_inputs_are_left_alone():

@@ -76,7 +76,7 @@ def investigate(
     base, used = base_fit(file, runs)
     dead = dead_channels(file, base, used)
     if dead:
-        say(f"leaving out the {' and the '.join(f'{one.channel} of {one.recording}' for one in dead)}")
+        say(f"leaving out {', '.join(f'{one.channel} of {one.recording} ({one.state})' for one in dead)}")
         base, used = base_fit(file, without(runs, dead))
     runs = used
     say("screening all effects and sensor faults")
