@@ -9,8 +9,8 @@ from motorlens_workbench.dead_channels import DeadChannel
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.experiments import Experiment
 from motorlens_workbench.lasting import Lasting
+from motorlens_workbench.leftover import Free
 from motorlens_workbench.look import held_out, noise_floor
-from motorlens_workbench.screen import Free
 from motorlens_workbench.selection import Test
 from motorlens_workbench.variation import Variation
 from motorlens_workbench.verdict import Verdict, sizes

@@ -11,7 +11,7 @@ from motorlens_workbench.evidence import Evidence
 from motorlens_workbench.fitting import Fit, Prior
 from motorlens_workbench.model import Model, predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import Columns, Free, columns_of, products_with
+from motorlens_workbench.screen import Addition, Columns, columns_of, products_with
 from motorlens_workbench.whitening import Whitener
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ def without_input_errors(
     runs: Sequence[Run],
     whiteners: Sequence[Whitener],
     listed: Sequence[Candidate],
-    free: Sequence[Free],
+    free: Sequence[Addition],
     with_decoys: bool,
 ) -> Evidence:
     """The evidence without what errors of the measured inputs put into it; itself if there are none worth a thought."""
@@ -38,7 +38,7 @@ def feigned(
     runs: Sequence[Run],
     whiteners: Sequence[Whitener],
     listed: Sequence[Candidate],
-    free: Sequence[Free],
+    free: Sequence[Addition],
     with_decoys: bool,
 ) -> Array:
     """(2, B, m) products of every column with the residual that errors of the inputs alone would leave, drawn twice.

@@ -17,11 +17,14 @@ from motorlens_workbench.input_errors import without_input_errors
 from motorlens_workbench.lasting import Lasting, lasting
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import Free, all_columns, evidence_of, with_priors
+from motorlens_workbench.screen import all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL
 from motorlens_workbench.variation import Variation, variations
 
 Array = NDArray[np.float64]
+
+# Terms without a name.
+Free = Curve | Lasting | Variation
 
 BALANCES = ("voltage", "torque", "heat")
 # Knots around a revolution of the shaft.

@@ -24,6 +24,7 @@ from motorlens_workbench.screen import (
     with_priors,
 )
 from motorlens_workbench.selection import Test, test_all
+from motorlens_workbench.turning import seen_turning
 
 Array = NDArray[np.float64]
 
@@ -80,6 +81,7 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
     left = evidence.given(found.prior.keys)
     tests = test_all(left, listed, found.model)
+    tests |= seen_turning(tests, found, runs)
     noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
     recorded = with_priors(recorded, found)
     return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns)

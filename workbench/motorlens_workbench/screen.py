@@ -6,6 +6,7 @@ its balance), so that sizes read off it are in typical sizes.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,8 @@ from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
 from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.candidates import Candidate, Forcing, decoys, forcing
-from motorlens_workbench.curves import Curve
 from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 from motorlens_workbench.fitting import Fit, usable
-from motorlens_workbench.lasting import Lasting
 from motorlens_workbench.model import (
     TOLERANCE,
     Model,
@@ -32,13 +31,20 @@ from motorlens_workbench.model import (
     with_sensor,
 )
 from motorlens_workbench.run import STATE_OF, Run
-from motorlens_workbench.variation import Variation
 from motorlens_workbench.whitening import Whitener
 
 Array = NDArray[np.float64]
 
-# Terms without a name.
-Free = Curve | Lasting | Variation
+
+class Addition(Protocol):
+    """What adds to the balances, as columns: a free curve, the course of a parameter, a part of an effect."""
+
+    def columns(self) -> list[str]:
+        """Names of the columns, k of them."""
+
+    def forcing(self, trajectory: Trajectory) -> Forcing:
+        """What a unit of each adds to the balances along a trajectory, (N, k) each."""
+
 
 BLOCKS = 64
 # Columns carried at once, so that memory stays small on long recordings.
@@ -146,7 +152,7 @@ class Line:
             still,
         )[:, :, 0]
 
-    def of_curve(self, curve: Free) -> Array:
+    def of_curve(self, curve: Addition) -> Array:
         """(rows, C, k) responses to the hat functions of a free curve."""
         added = curve.forcing(self.trajectory)
         return self.respond(added.voltage, added.torque, added.heat)
@@ -159,7 +165,7 @@ def columns_of(
     keys: Sequence[str],
     scales: Mapping[str, float],
     listed: Sequence[Candidate],
-    free_curves: Sequence[Free],
+    free_curves: Sequence[Addition],
     with_decoys: bool = True,
 ) -> Columns:
     """All columns of one run.
@@ -280,7 +286,7 @@ def all_columns(
     found: Fit,
     runs: Sequence[Run],
     listed: Sequence[Candidate],
-    free_curves: Sequence[Free],
+    free_curves: Sequence[Addition],
     with_decoys: bool = True,
 ) -> list[Columns]:
     """The columns of every run in one pass."""

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 # Samples in a piece whose mean tells slow errors from noise, and how much louder than noise's the means must be.
 PIECE, LOUDER = 256, 2.0
+# A shaft slower than this share of its largest speed stands.
+STANDS = 0.01
 
 
 def followed(run: Run, trajectory: Trajectory, shown: Array) -> Run:
@@ -52,6 +54,22 @@ def lasting_share(error: Array) -> float:
     means = error[: pieces * PIECE].reshape(pieces, PIECE).mean(axis=1)
     of_noise = noise_sd(error) ** 2 / PIECE
     return float(np.clip(1 - LOUDER * of_noise / max(float(np.mean(means**2)), 1e-300), 0.0, 1.0))
+
+
+def turning(angle: Array, speed_rad_s: Array, period: float) -> NDArray[np.bool_]:
+    """(N,) whether the shaft turns a whole period, rad, the same way both before a sample and after it.
+
+    >>> angle = np.array([0.0, 1.0, 2.0, 3.0, 3.0, 2.0])
+    >>> turning(angle, np.array([1.0, 1.0, 1.0, 1.0, -1.0, -1.0]), 1.0).tolist()
+    [False, True, True, False, False, False]
+    """
+    least = STANDS * float(np.max(np.abs(speed_rad_s), initial=1e-12))
+    way = np.where(np.abs(speed_rad_s) > least, np.sign(speed_rad_s), 0.0)
+    ends = np.concatenate([np.flatnonzero(way[1:] != way[:-1]), [len(way) - 1]])
+    begins = np.concatenate([[0], ends[:-1] + 1])
+    passage = np.searchsorted(ends, np.arange(len(way)))
+    before, after = np.abs(angle - angle[begins[passage]]), np.abs(angle[ends[passage]] - angle)
+    return np.asarray((way != 0) & (before >= period) & (after >= period))
 
 
 def between_samples(advance: Array, lag: float, *, held: bool) -> NDArray[np.complex128]:

@@ -18,6 +18,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.candidates import Forcing, equation_of, inputs_at
 from motorlens_workbench.curves import hat_functions, knots_of
+from motorlens_workbench.shaft import STANDS
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,6 @@ TEXTBOOK = {
 KNOTS = {"speed": 6, "current": 6, "temperature": 5, "time": 8}
 # Angles turned since the last reversal, rad: bristles and backlash are used up within a few.
 TRAVEL_RAD = np.array([0.0, 0.2, 0.6, 2.0, 6.0, 20.0])
-# A speed this share of the largest, the other way, is a reversal.
-REVERSED = 0.01
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def travel(speed_rad_s: Array, time_s: Array) -> Array:
     >>> travel(np.array([1.0, 1.0, -1.0, -1.0]), np.arange(4.0)).tolist()
     [0.0, 1.0, 0.0, 1.0]
     """
-    least = REVERSED * float(np.max(np.abs(speed_rad_s), initial=1e-12))
+    least = STANDS * float(np.max(np.abs(speed_rad_s), initial=1e-12))
     way = np.where(np.abs(speed_rad_s) > least, np.sign(speed_rad_s), 0.0)
     moving = np.flatnonzero(way)
     turned = np.zeros(len(way), dtype=bool)

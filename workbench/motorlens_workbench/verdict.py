@@ -25,7 +25,8 @@ GROUP = 6
 BETTER = 0.15
 # Share of the whitened sum of squares that a curve must explain where nothing was named: without a name, more is asked.
 UNNAMED = 8e-3
-# How many times that where a converter's steps are coarse beside its noise: their error goes with the signals too.
+# How many times as much it must explain where a converter's steps are coarse beside its noise: their error goes with the
+# signals too.
 COARSE = 3.0
 # What BETTER is where as many effects as may be were named already, and what a single curve may explain from the start, over
 # all that was named.
@@ -120,8 +121,8 @@ def structure(found: Finding) -> Bend | None:
         instead = len(found.steps) > 1 and found.left and found.whole[0].gain > INSTEAD * gain
         if instead or unsettled(found.last, found.runs):
             return found.whole[0]
-    unnamed = UNNAMED * (COARSE if any(run.coarse for run in found.runs) else 1.0)
-    worth = (WORTH if found.steps else unnamed) * found.last.samples
+    coarse = COARSE if any(run.coarse for run in found.runs) else 1.0
+    worth = coarse * (WORTH if found.steps else UNNAMED) * found.last.samples
     for bend in found.left:
         if bend.gain > max(worth, share * gain):
             return bend
