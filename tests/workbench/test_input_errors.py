@@ -134,10 +134,11 @@ def test_what_is_feigned_is_what_both_ways_in_full_give(smooth):
             left = one.residual + true - moved.average(moved.measured)
             full.append(products_with([one], [left], [run], found.whiteners)[:, :, 0].sum(axis=0))
     wanted = np.mean(full, axis=0)
-    # The inductance, which such noise biases most; and all others far within the scatter between draws and ways.
-    inductance = prior.keys.index("L")
-    assert short[inductance] == pytest.approx(wanted[inductance], rel=0.05)
-    assert (np.abs(short - wanted) < 0.05 * np.std(full, axis=0) + 1e-6).all()
+    # Far within the scatter between draws and ways; and the inductance, which noise that is not smoothed biases most.
+    assert (np.abs(short - wanted) < 0.03 * np.std(full, axis=0) + 1e-6).all()
+    if not smooth:
+        inductance = prior.keys.index("L")
+        assert short[inductance] == pytest.approx(wanted[inductance], rel=0.05)
 
 
 def test_runs_without_noise_on_their_inputs_are_left_alone():

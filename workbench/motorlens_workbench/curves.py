@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.candidates import EQUATIONS, Forcing
-from motorlens_workbench.shaft import turning
 
 Array = NDArray[np.float64]
 
@@ -65,17 +64,13 @@ class Curve(Term):
         return [f"curve.{self.balance}.{self.against}.{k}" for k in range(len(self.knots))]
 
     def forcing(self, trajectory: Trajectory) -> Forcing:
-        """What a unit at each knot adds to the balances, (N, k) each.
-
-        Against the angle nothing where that is not known, and nothing within a revolution of a stop (see `turning.py`).
-        """
+        """What a unit at each knot adds to the balances, (N, k) each; nothing against an angle that is not known."""
         if self.against != "angle":
             return self.adding(hat_functions(self.knots, variables(trajectory)[self.against]))
         angle = trajectory.states.get("phi")
         if angle is None:
             return self.adding(np.zeros((len(trajectory.inputs.time_s), len(self.knots))))
-        moving = turning(angle, trajectory.speed_rad_s, 2 * np.pi)
-        return self.adding(around(self.knots, angle) * moving[:, None])
+        return self.adding(around(self.knots, angle))
 
 
 def hat_functions(knots: Array, z: Array) -> Array:

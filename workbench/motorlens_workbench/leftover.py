@@ -19,6 +19,7 @@ from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
 from motorlens_workbench.screen import all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL
+from motorlens_workbench.turning import CurveWhileTurning
 from motorlens_workbench.variation import Variation, variations
 
 Array = NDArray[np.float64]
@@ -71,7 +72,8 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     free: list[Free] = [c for c in curves(trajectories, BALANCES) if not _disturbance(c)]
     free += lasting(trajectories)
     if any(run.shaft for run in runs):
-        free.append(Curve("torque", "angle", np.linspace(0, 2 * np.pi, ROUND)))
+        around = np.linspace(0, 2 * np.pi, ROUND)
+        free += [Curve("torque", "angle", around), CurveWhileTurning("torque", "angle", around)]
     loaded = any("load_torque" in run.known for run in runs)
     free += [v for v in variations(found.model.file, trajectories, outputs) if loaded or not _may_be_load(v)]
     columns = all_columns(found, runs, (), free, with_decoys=False)
@@ -80,11 +82,22 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     # Without the priors: a curve must not count because it is a parameter of the model that the motor file holds back.
     left = evidence.given(found.prior.keys)
     held = with_priors(evidence, found).given(found.prior.keys)
-    return [
+    bends = [
         bend
         for bend in bends_of(left, held, free)
         if _believable(bend, found.model.file.rated) and _beyond_chance(bend, decoy)
     ]
+    turned = any(isinstance(bend.curve, CurveWhileTurning) for bend in bends)
+    # Witnesses only: what goes with the angle must be seen while the shaft turns as well.
+    return [
+        bend
+        for bend in bends
+        if not isinstance(bend.curve, CurveWhileTurning) and (turned or not _of_angle(bend))
+    ]
+
+
+def _of_angle(bend: Bend) -> bool:
+    return isinstance(bend.curve, Curve) and bend.curve.against == "angle"
 
 
 def bends_of(left: Evidence, held: Evidence, free: Sequence[Free]) -> list[Bend]:

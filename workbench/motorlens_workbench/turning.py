@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.candidates import Forcing, forcing
+from motorlens_workbench.curves import Curve
 from motorlens_workbench.evidence import Score, score
 from motorlens_workbench.fitting import Fit
 from motorlens_workbench.run import Run
@@ -49,13 +50,36 @@ class WhileTurning:
             still = np.zeros((len(trajectory.inputs.time_s), len(self.parts)))
             return Forcing(still, still, still)
         period = 2 * np.pi / getattr(self.parts[0], "N", 1.0)
-        moving = turning(angle, trajectory.speed_rad_s, period)[:, None]
         added = [forcing(part, trajectory) for part in self.parts]
-        voltage, torque, heat = (
-            np.column_stack([getattr(one, balance) for one in added]) * moving
-            for balance in ("voltage", "torque", "heat")
+        everywhere = Forcing(
+            *(
+                np.column_stack([getattr(one, name) for one in added])
+                for name in ("voltage", "torque", "heat")
+            )
         )
-        return Forcing(voltage, torque, heat)
+        return _where(turning(angle, trajectory.speed_rad_s, period), everywhere)
+
+
+class CurveWhileTurning(Curve):
+    """A free curve of the shaft angle where the shaft turns a revolution, nothing elsewhere."""
+
+    def columns(self) -> list[str]:
+        """Names of the columns."""
+        return [f"turning.{name}" for name in super().columns()]
+
+    def forcing(self, trajectory: Trajectory) -> Forcing:
+        """What a unit at each knot adds to the balances, (N, k) each."""
+        everywhere = super().forcing(trajectory)
+        angle = trajectory.states.get("phi")
+        if angle is None:
+            return everywhere
+        return _where(turning(angle, trajectory.speed_rad_s, 2 * np.pi), everywhere)
+
+
+def _where(moving: NDArray[np.bool_], added: Forcing) -> Forcing:
+    """A forcing (N, k) at some samples (N,), nothing elsewhere."""
+    kept = moving[:, None]
+    return Forcing(added.voltage * kept, added.torque * kept, added.heat * kept)
 
 
 def seen_turning(tests: Mapping[str, Test], found: Fit, runs: Sequence[Run]) -> dict[str, Test]:

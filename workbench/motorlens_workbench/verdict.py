@@ -22,7 +22,7 @@ IMPERFECT = 0.004
 SAME = 0.9995
 GROUP = 6
 # A free curve this much better than what was named says that the name is wrong: share of the accepted gain.
-BETTER = 0.15
+BETTER = 0.08
 # Share of the whitened sum of squares that a curve must explain where nothing was named: without a name, more is asked.
 UNNAMED = 8e-3
 # How many times as much it must explain where a converter's steps are coarse beside its noise: their error goes with the
