@@ -114,7 +114,7 @@ def advance(
         good = {
             name: tried
             for name, tried in refits.items()
-            if total(now.found) - total(tried) > 0.5 * tests[name].gain
+            if total(now.found) - total(tried) > max(0.5 * tests[name].gain, REAL)
         }
         if good:
             winner = simplest(good, tests, runs)

@@ -27,7 +27,7 @@ BETTER = 0.08
 UNNAMED = 8e-3
 # How many times as much it must explain where a converter's steps are coarse beside its noise: their error goes with the
 # signals too.
-COARSE = 3.0
+COARSE = 2.0
 # What BETTER is where as many effects as may be were named already, and what a single curve may explain from the start, over
 # all that was named.
 AFTER_ALL, INSTEAD = 0.05, 1.25
