@@ -41,7 +41,8 @@ def to_json(
     if experiment is not None:
         document["separating_experiment"] = {
             "test": experiment.test, "separates": list(experiment.separates), "seconds": experiment.seconds,
-            "why": experiment.why,
+            "why": experiment.why, "with_sensor": experiment.with_sensor, "bare": experiment.bare,
+            "check": list(experiment.check),
         }  # fmt: skip
     if verdict.shape is not None:
         bend = verdict.shape

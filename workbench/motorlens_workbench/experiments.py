@@ -1,34 +1,47 @@
-"""Which test would tell a group apart: every scenario simulated from the present model, ranked by its worst pair.
+"""Which test would tell a group apart: every scenario simulated from the present model, added to what the recordings say.
 
-For two rivals of the present size, 2 log likelihood that a recording of a scenario would put between them is
-c^2 |x|^2 (1 - rho^2), with x the column of one after the base parameters have taken their share and rho its correlation with
-the other's. Hunter and Reiner (1965), Designs for discriminating between two rival models,
-doi:10.1080/00401706.1965.10490265.
+Two rivals are apart by the 2 log likelihood that one leaves where the other is true: of the truth's column, at the size it
+was found with, what the rival, the base parameters and the other effects cannot take up. Information adds, so that of a new
+recording is added to that of the old ones, which know the base parameters already and hold the rivals to their sizes.
+Hunter and Reiner (1965), Designs for discriminating between two rival models, doi:10.1080/00401706.1965.10490265.
+
+Where no run with the sensors at hand is enough, one with a further sensor may be, or one without the torque sensor and
+anything else on the shaft: what the shaft does not bear, no sensor can report wrongly. Where none is, only a reference
+instrument tells.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.scenario import perform, scenarios
+from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import MotorlensError
 from motorlens_workbench.candidates import Candidate, candidates
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.evidence import _inverse
 from motorlens_workbench.fitting import base_prior, start_model
 from motorlens_workbench.look import noise_floor
-from motorlens_workbench.run import prepare
+from motorlens_workbench.run import STATE_OF, Run, prepare
 from motorlens_workbench.screen import columns_of
-from motorlens_workbench.verdict import Verdict
+from motorlens_workbench.steps import Step
+from motorlens_workbench.verdict import IMPERFECT, Verdict
 from motorlens_workbench.whitening import white
 
 Array = NDArray[np.float64]
 
-# 2 log likelihood between two rivals that settles the matter.
-SETTLED = 60.0
-LONGEST_S = 7200.0
+# 2 log likelihood between two rivals, over the inflation of the accepted one's test, that settles the matter; and how many
+# times what the model leaves out may feign.
+SETTLED, CLEAR = 60.0, 2.0
+# A run may be made longer than its scenario has it, up to this; a shorter one than this would be judged by the torque that
+# nobody measures, which goes on for seconds.
+LONGEST_S, SHORTEST_S = 7200.0, 20.0
+# Once the rotor has stopped, a longer run of it says nothing more.
+ENDS = ("coast_down",)
+# Noise of a sensor that is not there yet, as a share of the rated value.
+NEW_SENSOR = 0.01
 
 
 @dataclass(frozen=True)
@@ -40,93 +53,237 @@ class Experiment:
         separates: the rivals.
         seconds: how long to record.
         why: a sentence.
+        with_sensor: the quantity to measure beside those recorded so far, "" if they are enough.
+        bare: run it with nothing on the shaft, the torque sensor taken off.
+        check: quantities whose sensors only a reference instrument can judge, where no test tells.
     """
 
     test: str
     separates: tuple[str, ...]
     seconds: float
     why: str
+    with_sensor: str = ""
+    bare: bool = False
+    check: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Question:
+    """A group, and what the recordings say of it.
+
+    Attributes:
+        found: the finding.
+        step: by which the first of the group was accepted.
+        rivals: the others, which the final model does not hold.
+        keys: parameters of the final model that all recordings share; columns are per standard deviation of their prior.
+        labels: columns of the rivals.
+        gram: (k + l, k + l) products of whitened columns, keys and labels, what each run has of its own projected out.
+    """
+
+    found: Finding
+    step: Step
+    rivals: tuple[Candidate, ...]
+    keys: tuple[str, ...]
+    labels: tuple[str, ...]
+    gram: Array
+
+    @classmethod
+    def of(cls, found: Finding, group: Sequence[str]) -> "_Question":
+        """What tells a group apart so far."""
+        step = next(step for step in found.steps if step.test.candidate.name == group[0])
+        fitted = found.last.found
+        every = candidates(fitted.model.file, tuple(STATE_OF), ("voltage", "load_torque"))
+        rivals = tuple(candidate for candidate in every if candidate.name in group)
+        labels = tuple(label for rival in rivals for labels in rival.columns() for label in labels)
+        keys = tuple(key for key in fitted.prior.keys if "@" not in key)
+        left = found.last.evidence.given([key for key in fitted.prior.keys if "@" in key])
+        at = left.index([*keys, *labels])
+        return cls(found, step, rivals, keys, labels, left.total[np.ix_(at, at)])
+
+    @property
+    def winner(self) -> str:
+        """The one that was accepted."""
+        return self.step.test.candidate.name
+
+    @property
+    def inflation(self) -> float:
+        """Scatter between blocks of time over that of white noise."""
+        assert self.step.test.score is not None
+        return self.step.test.score.inflation
 
 
 def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Experiment | None:
-    """The scenario that best tells the first ambiguous group apart; None where there is no group."""
+    """The shortest test that tells the first ambiguous group apart; None where there is no group."""
     group = next((group for group in verdict.groups if len(group) > 1), None)
     if group is None:
         return None
-    step = next(step for step in found.steps if step.test.candidate.name == group[0])
-    file = found.base.model.file
-    floor = noise_floor(found.last, found.runs)
-    every = {c.name: c for c in candidates(file, tuple(floor), ("voltage", *_known(found)))}
-    listed = [every[name] for name in group if name in every]
-    strength = abs(step.test.size / step.test.typical)
-    best: tuple[float, float, str] | None = None
-    for name, scenario in scenarios().items():
-        if name == "duty":
-            continue
-        try:
-            worst, seconds = _distance(found, listed, scenario(), floor, strength, rng)
-        except (MotorlensError, FloatingPointError, ValueError):
-            continue
-        if seconds <= LONGEST_S and (best is None or worst / np.sqrt(seconds) > best[0] / np.sqrt(best[1])):
-            best = (worst, seconds, name)
+    asked = _Question.of(found, group)
     names = ", ".join(group)
-    if best is None or best[0] < SETTLED / 10:
-        return Experiment(
-            "",
-            group,
-            0.0,
-            "no run of this motor tells them apart; calibrate or exchange the sensors concerned",
-        )
-    worst, seconds, name = best
-    needed = float(np.clip(seconds * SETTLED / worst, seconds, LONGEST_S))
-    return Experiment(name, group, round(needed, 1), f"run {name} for {needed:.0f} s; it tells {names} apart")
-
-
-def _known(found: Finding) -> tuple[str, ...]:
-    return tuple(sorted({q for run in found.runs for q in run.known if q in ("load_torque",)}))
-
-
-def _distance(
-    found: Finding,
-    listed: Sequence[Candidate],
-    scenario: object,
-    floor: dict[str, float],
-    strength: float,
-    rng: np.random.Generator,
-) -> tuple[float, float]:
-    """2 log likelihood between the closest pair that a run of a scenario would bring, and its seconds."""
-    file = replace(found.base.model.file, sensors=())
-    recording = perform(file, scenario, rng)  # type: ignore[arg-type]
-    recording = replace(
-        recording,
-        channels={
-            q: y
-            for q, y in recording.channels.items()
-            if q in floor or q in ("voltage", "ambient", *_known(found))
-        },
+    recorded = tuple(sorted({c for run in found.runs for c in run.channels}))
+    known = tuple(sorted({q for run in found.runs for q in run.known if q == "load_torque"}))
+    for measured, also, bare in _ways(recorded, known):
+        shown = {*measured, "voltage", "ambient", *(() if bare else known)}
+        needed = {
+            name: _needed(asked, name, _floor(found, measured), shown, rng)
+            for name in scenarios()
+            if name != "duty"
+        }
+        if enough := [(seconds, name) for name, seconds in needed.items() if seconds is not None]:
+            seconds, name = min(enough)
+            how = f" with the {_said(also)} measured as well" if also else ""
+            how += " with nothing on the shaft, the torque sensor taken off" if bare else ""
+            why = f"run {name} for {seconds:.0f} s{how}; it tells {names} apart"
+            return Experiment(name, group, round(seconds, 1), why, also, bare)
+    check = tuple(dict.fromkeys(channel for name in group if (channel := _channel_of(name))))
+    return Experiment(
+        "", group, 0.0, "no run of this motor tells them apart" + _by_reference(group, check), check=check
     )
+
+
+def _by_reference(group: Sequence[str], check: Sequence[str]) -> str:
+    """What to do with the sensors that a group suspects, as the end of a sentence."""
+    if not check:
+        return ""
+    faults = {name.rpartition("_")[2] for name in group if _channel_of(name)}
+    sensors = " and ".join(map(_said, check))
+    if faults == {"offset"} and "temperature" not in check:
+        look = f"look at what the sensors of {sensors} show at rest, with no voltage and nothing on the shaft: 0 is right"
+    else:
+        look = f"hold a reference instrument against the sensors of {sensors}, at two values far apart"
+    return (
+        f"; {look}; in the motor file, give those found right sd = 0 and a source that begins with 'measured'"
+    )
+
+
+def _ways(recorded: Sequence[str], known: Sequence[str]) -> Iterator[tuple[tuple[str, ...], str, bool]]:
+    """Outputs to measure, the one among them that is new, and whether the shaft is bare; the simplest first."""
+    yield tuple(recorded), "", False
+    if "load_torque" in known:
+        yield tuple(recorded), "", True
+    for channel in STATE_OF:
+        if channel not in recorded:
+            yield (*recorded, channel), channel, False
+
+
+def _said(quantity: str) -> str:
+    return quantity.replace("_", " ")
+
+
+def _channel_of(name: str) -> str:
+    """The channel of a sensor's fault, "" for an effect."""
+    channel, sensor, _ = name.partition("_sensor_")
+    return channel if sensor else ""
+
+
+def _floor(found: Finding, measured: Sequence[str]) -> dict[str, float]:
+    """Standard deviation of the noise of every output that will be measured."""
+    floor, rated = noise_floor(found.last, found.runs), found.base.model.file.rated
+    return {c: floor.get(c, NEW_SENSOR * rated.scale(RATED_OF_CHANNEL[c])) for c in measured}
+
+
+def _needed(
+    asked: _Question, name: str, floor: Mapping[str, float], shown: Collection[str], rng: np.random.Generator
+) -> float | None:
+    """How many seconds of a scenario settle the question; None if no reasonable time does."""
+    try:
+        new, seconds = _of_scenario(asked, name, floor, shown, rng)
+    except (MotorlensError, FloatingPointError, ValueError):
+        return None
+    longest = seconds if name in ENDS else max(LONGEST_S, seconds)
+    if longest < SHORTEST_S:
+        return None
+    # What the recordings say has been weighed already: the new one must settle it.
+    said, _ = _apart(asked, asked.gram)
+    for times in np.geomspace(1.0, longest / seconds, 12):
+        apart, worth = _apart(asked, asked.gram + times * new)
+        if apart - said > SETTLED * asked.inflation + CLEAR * IMPERFECT * worth:
+            return max(float(seconds * times), SHORTEST_S)
+    return None
+
+
+def _of_scenario(
+    asked: _Question, name: str, floor: Mapping[str, float], shown: Collection[str], rng: np.random.Generator
+) -> tuple[Array, float]:
+    """What a run of a scenario would add to the products, and its seconds.
+
+    Raises:
+        ValueError: it puts a load on the shaft that nobody would measure, and that would pass for friction.
+    """
+    fitted = asked.found.last.found
+    file = fitted.model.file
+    recording = perform(replace(file, sensors=()), scenarios()[name](), rng)
+    if "load_torque" not in shown and recording.channels["load_torque"].any():
+        raise ValueError(f"{name} needs a torque sensor")
+    recording = replace(recording, channels={q: y for q, y in recording.channels.items() if q in shown})
     run = prepare(recording, file)
     model = start_model(file, [run])
-    prior = base_prior(file, [run])
-    columns = columns_of(model, run, 0, prior.keys, dict(prior.sd), listed, (), with_decoys=False)
-    # Noise per averaged row, as the recordings had it per row.
+    own = {key: width for key, width in base_prior(file, [run]).sd.items() if "@" in key}
+    keys = [*own, *asked.keys]
+    columns = columns_of(model, run, 0, keys, {**fitted.prior.sd, **own}, asked.rivals, (), with_decoys=False)
+    # Noise per averaged row, as the recordings had it per row, at the rate at which they were recorded.
     whitener = white(np.array([floor[channel] for channel in run.channels]))
     z = whitener(columns.values).reshape(-1, columns.values.shape[2])
-    keys = len(prior.keys)
-    gram = z.T @ z
-    gram[np.arange(keys), np.arange(keys)] += 1.0
-    inner = gram[keys:, keys:] - gram[keys:, :keys] @ _inverse(gram[:keys, :keys]) @ gram[:keys, keys:]
-    names = list(columns.names[keys:])
-    best_of: dict[tuple[str, str], float] = {}
-    for a, one in enumerate(names):
-        for b, other in enumerate(names):
-            pair = (one.partition("#")[0], other.partition("#")[0])
-            if pair[0] >= pair[1]:
-                continue
-            rho2 = inner[a, b] ** 2 / max(inner[a, a] * inner[b, b], 1e-300)
-            apart = strength**2 * max(inner[a, a], inner[b, b]) * max(1 - rho2, 0.0)
-            best_of[pair] = min(best_of.get(pair, np.inf), apart)
-    return min(best_of.values(), default=0.0), recording.duration_s
+    gram = z.T @ z * _rate(asked.found, run)
+    n = len(own)
+    gram[np.arange(n), np.arange(n)] += 1.0
+    at = [
+        *range(n, len(keys)),
+        *(len(keys) + columns.names[len(keys) :].index(label) for label in asked.labels),
+    ]
+    return _given(gram, range(n), at), recording.duration_s
+
+
+def _rate(found: Finding, planned: Run) -> float:
+    """Rows that the recordings' own rate, the nearest of them, would bring over those of a simulated run."""
+    rates = [planned.period_s * planned.every / (run.period_s * run.every) for run in found.runs]
+    return min(rates, key=lambda rate: float(abs(np.log(rate))))
+
+
+def _apart(asked: _Question, gram: Array) -> tuple[float, float]:
+    """2 log likelihood of the closest pair, one true and the other fitted in its place, and what the truth is worth."""
+    names = [*asked.keys, *asked.labels]
+    mine = f"{asked.winner}."
+    base = [k for k, key in enumerate(asked.keys) if not key.startswith(mine)]
+    rest = [k for k in range(len(names)) if k not in base]
+    before, after = _given(asked.gram, base, rest), _given(gram, base, rest)
+    place = {names[k]: n for n, k in enumerate(rest)}
+    columns = {asked.winner: [[place[key] for key in asked.keys if key.startswith(mine)]]}
+    for rival in asked.rivals:
+        columns[rival.name] = [[place[label] for label in labels] for labels in rival.columns()]
+    fitted, key = asked.found.last.found, mine + asked.step.test.candidate.switch
+    size = np.zeros(len(rest))
+    size[place[key]] = (
+        fitted.model.values()[key] - (fitted.model.file.meaning(key).null or 0.0)
+    ) / fitted.prior.sd[key]
+    closest, worth = np.inf, 0.0
+    for name, shapes in columns.items():
+        truth = size
+        if name != asked.winner:
+            # At the size that explains the recordings as the accepted one does.
+            fits = [_instead(before, size, shape) for shape in shapes]
+            truth = min(fits, key=lambda fit: _left(before, size - fit))
+        worth = max(worth, float(truth @ after @ truth))
+        others = [shape for other, shapes in columns.items() if other != name for shape in shapes]
+        closest = min(closest, *(_left(after, truth - _instead(after, truth, shape)) for shape in others))
+    return float(closest), worth
+
+
+def _given(gram: Array, base: Sequence[int], rest: Sequence[int]) -> Array:
+    """(r, r) products of some columns once others have explained all they can of them."""
+    cross = gram[np.ix_(base, rest)]
+    return np.asarray(gram[np.ix_(rest, rest)] - cross.T @ _inverse(gram[np.ix_(base, base)]) @ cross)
+
+
+def _instead(gram: Array, truth: Array, shape: Sequence[int]) -> Array:
+    """The sizes at which some columns stand for the truth best, all others 0."""
+    fit = np.zeros(len(truth))
+    fit[list(shape)] = _inverse(gram[np.ix_(shape, shape)]) @ (gram @ truth)[list(shape)]
+    return fit
+
+
+def _left(gram: Array, difference: Array) -> float:
+    """2 log likelihood between two that differ so."""
+    return max(float(difference @ gram @ difference), 0.0)
 
 
 __all__ = ["Experiment", "propose"]

@@ -93,12 +93,13 @@ def inputs_of(model: Model, run: Run, r: int) -> Inputs:
         assert run.shaft is not None
         added = of_angle(effect, motor, SimpleNamespace(**run.shaft), as_read(shown), held=held)
         detents, ripple = detents + added.torque, ripple + added.voltage
+    load = shown.load_torque_Nm
+    if "load_torque" in run.known:  # a sensor that was not there shows nothing wrong
+        load = _unread(model.file.sensors, "load_torque", shown.time_s, load)
     inputs = replace(
         shown,
         voltage_V=_unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V) + ripple,
-        load_torque_Nm=_unread(model.file.sensors, "load_torque", shown.time_s, shown.load_torque_Nm)
-        + own.get("load", 0.0)
-        - detents,
+        load_torque_Nm=load + own.get("load", 0.0) - detents,
         ambient_C=shown.ambient_C + own.get("ambient", 0.0),
         held=held,
     )

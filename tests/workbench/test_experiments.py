@@ -1,0 +1,72 @@
+"""The test proposed for a group is one that tells it apart, and is not proposed where nothing of the kind could."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motorlens_physics.effect import catalogue
+from motorlens_physics.motor_file import MotorFile, read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_physics.scenario import measure, perform, scenarios
+from motorlens_physics.sensor_model import sensor_catalogue
+from motorlens_workbench.diagnosis import Finding, investigate
+from motorlens_workbench.experiments import Experiment, propose
+from motorlens_workbench.verdict import Verdict, settle
+
+MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}
+TWINS = {"constant_torque", "load_torque_sensor_offset"}
+
+
+def recorded(
+    test: str, seconds: float, torque: float = 0.0, faults: dict[str, float] | None = None
+) -> Recording:
+    file = read_motor_file(MOTOR)
+    effect = replace(catalogue()["constant_torque"].typical(file.rated), tau_0=torque)
+    rng = np.random.default_rng(5)
+    truth = perform(
+        replace(file, motor=file.motor.with_effect(effect)), scenarios()[test](seconds, seconds / 10_000), rng
+    )
+    sensors = tuple(
+        replace(sensor_catalogue()[f"load_torque_sensor_{name}"], **{name: size})
+        for name, size in (faults or {}).items()
+    )
+    return measure(truth, sensors, NOISE, rng)
+
+
+@pytest.fixture(scope="module")
+def rough() -> MotorFile:
+    return read_motor_file(MOTOR).with_values({"R_a0": 4.0, "ke": 0.85, "J": 0.039, "b": 0.0018})
+
+
+def proposed(found: Finding) -> tuple[Verdict, Experiment | None]:
+    verdict = settle(found)
+    return verdict, propose(found, verdict, np.random.default_rng(0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guilty", sorted(TWINS))
+def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_off(rough, guilty):
+    """At every load the two are one; on a bare shaft the torque stays and the sensor is gone."""
+    hidden = {"torque": 0.3} if guilty == "constant_torque" else {"faults": {"offset": 0.3}}
+    first = recorded("load_steps", 30.0, **hidden)
+    verdict, experiment = proposed(investigate(rough, [first]))
+    assert set(verdict.groups[0]) == TWINS
+    assert experiment is not None and experiment.bare and experiment.test
+    assert "torque sensor taken off" in experiment.why
+    second = recorded(experiment.test, experiment.seconds, **hidden)
+    bare = {q: y for q, y in second.channels.items() if q != "load_torque"}
+    after = settle(investigate(rough, [first, replace(second, channels=bare)]))
+    assert after.groups == ((guilty,),)
+
+
+@pytest.mark.slow
+def test_no_run_tells_one_wrong_scale_from_another(rough):
+    """Torque over current, voltage over speed: four scales in one ratio (ke), whatever the motor does."""
+    verdict, experiment = proposed(investigate(rough, [recorded("load_steps", 30.0, faults={"gain": 1.1})]))
+    assert "load_torque_sensor_gain" in verdict.groups[0] and len(verdict.groups[0]) >= 4
+    assert experiment is not None and not experiment.test
+    assert {"current", "voltage", "speed", "load_torque"} <= set(experiment.check)
+    assert "reference instrument" in experiment.why
