@@ -38,9 +38,11 @@ sys.path = [
 
 from helpers.hidden import Case, Generated, draw, generate, generate_again, generate_experiment  # noqa: E402
 from helpers.hidden.experiments import TESTS  # noqa: E402
-from helpers.hidden.motors import MOTORS  # noqa: E402
-from helpers.hidden.score import Rate, Row, failing, strata, summary  # noqa: E402
+from helpers.hidden.score import Rate, Row, failing, strata, strong, summary  # noqa: E402
+from helpers.hidden.world import CHANNEL_SETS, HEADINGS  # noqa: E402
 
+# Of the sensors' offsets, as motor files have them.
+UNITS = {"voltage": "V", "current": "A", "speed": "rad/s", "temperature": "K", "load_torque": "N*m"}
 SEALED = (("dev", 400, False), ("dev", 200, True), ("test", 1200, False), ("subset", 60, True))
 
 
@@ -120,14 +122,13 @@ def instead(case: Case, out: str) -> dict[str, Any]:
     import baselines
 
     directory = Path(out)
-    speed = MOTORS[case.motor].speed_rad_s
     answers: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="hidden-") as scratch:
-        paths = prepared(case, directory, Path(scratch)).recordings
+        made = prepared(case, directory, Path(scratch))
         for name, method in (
-            ("pysindy", lambda: baselines.sindy(paths, speed, weak=False)),
-            ("pysindy weak", lambda: baselines.sindy(paths, speed, weak=True)),
-            ("whiteness", lambda: baselines.whiteness(paths, speed)),
+            ("pysindy", lambda: baselines.sindy(made.recordings, made.motor, weak=False)),
+            ("pysindy weak", lambda: baselines.sindy(made.recordings, made.motor, weak=True)),
+            ("whiteness", lambda: baselines.whiteness(made.recordings, made.motor)),
         ):
             start = time.monotonic()
             answers[name] = {"answer": method(), "seconds": time.monotonic() - start}
@@ -202,65 +203,121 @@ def chosen(arguments: argparse.Namespace) -> list[Case]:
 
 
 def resolve_one(name: str, out: str, limit_s: float) -> dict[str, Any]:
-    """Perform the experiment that an answer proposed, diagnose again with it, and say whether the group is resolved."""
+    """Do what an answer proposed, a test or a look at reference instruments, and diagnose again with what it brought."""
     directory = Path(out)
     truth = json.loads((directory / "key" / f"{name}.json").read_text(encoding="utf-8"))
     answer = next(row["answer"] for row in read_lines(directory / "answers.jsonl") if row["id"] == name)
     proposed = answer["separating_experiment"]
-    row: dict[str, Any] = {
-        "id": name,
-        "test": proposed["test"],
-        "seconds": proposed.get("seconds"),
-        "answer": None,
-    }
+    row: dict[str, Any] = {"id": name, "proposed": proposed, "answer": None}
     with tempfile.TemporaryDirectory(prefix="hidden-") as scratch:
         place = Path(scratch)
         made = generate_again(truth, place)
-        extra = generate_experiment(truth, proposed["test"], float(proposed.get("seconds") or 60.0), place)
+        recordings = list(made.recordings)
+        if proposed["test"]:
+            recordings.append(performed(truth, proposed, place))
+        else:
+            hold_right(truth, proposed["separates"], made.motor)
         told = place / "diagnosis.json"
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        words = command([*made.recordings, extra], made.motor, told)
-        done = subprocess.run(
-            words, capture_output=True, text=True, timeout=limit_s, env=environment, check=False
-        )
-        row["stderr"] = done.stderr[-1000:] if done.returncode else ""
+        words = command(recordings, made.motor, told)
+        try:
+            done = subprocess.run(
+                words, capture_output=True, text=True, timeout=limit_s, env=environment, check=False
+            )
+            row["stderr"] = done.stderr[-1000:] if done.returncode else ""
+        except subprocess.TimeoutExpired:
+            row["stderr"] = f"no answer within {limit_s:.0f} s"
         if told.exists():
             row["answer"] = _slim(json.loads(told.read_text(encoding="utf-8")))
     return row
 
 
+def performed(truth: dict[str, Any], proposed: dict[str, Any], place: Path) -> Path:
+    """The recording of a proposed test: of the sensors that the case has, one more, or without the torque's."""
+    kept = {*CHANNEL_SETS[truth["case"]["channels"]], proposed.get("with_sensor", "")}
+    kept -= {"load_torque"} if proposed.get("bare") else set()
+    fully = {**truth, "case": {**truth["case"], "channels": "all"}}
+    path = generate_experiment(fully, proposed["test"], float(proposed.get("seconds") or 60.0), place)
+    lines = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    off = {HEADINGS[channel] for channel in CHANNEL_SETS["all"] if channel not in kept}
+    off |= {"ambient_C"} if "temperature" not in kept else set()
+    off |= {"angle_rad"} if "speed" not in kept else set()
+    at = [k for k, name in enumerate(lines[0]) if name not in off]
+    path.write_text("".join(",".join(line[k] for k in at) + "\n" for line in lines), encoding="utf-8")
+    return path
+
+
+def hold_right(truth: dict[str, Any], group: Iterable[str], motor: Path) -> None:
+    """Write into a motor file what a reference instrument shows: which faults of the group the sensors do not have."""
+    wrong = {effect["name"] for effect in truth["hidden"]}
+    with motor.open("a", encoding="utf-8") as file:
+        for name in group:
+            parameter, null, unit = {
+                "gain": ("gain", 1.0, "1"),
+                "offset": ("offset", 0.0, UNITS.get(name.partition("_sensor_")[0], "1")),
+                "lag": ("tau", 0.0, "s"),
+            }.get(name.rpartition("_")[2], ("", 0.0, ""))
+            if "_sensor_" in name and name not in wrong:
+                file.write(
+                    f"\n[sensors.{name}]\n{parameter} = {{ value = {null}, "
+                    f'unit = "{unit}", sd = 0.0, source = "measured by a reference" }}\n'
+                )
+
+
 def resolve(arguments: argparse.Namespace) -> None:
-    """Perform the proposed experiments of the answers that gave a group."""
+    """Do what the answers that gave a group proposed."""
     directory = Path(arguments.directory)
     out = directory / "resolved.jsonl"
     done = {row["id"] for row in read_lines(out)}
     wanted = []
     for row in read_lines(directory / "answers.jsonl"):
-        proposed = ((row["answer"] or {}).get("separating_experiment") or {}).get("test")
-        if proposed in TESTS and (row["answer"] or {}).get("verdict") == "group" and row["id"] not in done:
+        answer = row["answer"] or {}
+        proposed = answer.get("separating_experiment") or {}
+        if (proposed.get("test") in TESTS or proposed.get("check")) and row["id"] not in done:
             wanted.append(row["id"])
     with out.open("a", encoding="utf-8") as file:
         for number, name in enumerate(wanted, 1):
             row = resolve_one(name, str(directory), arguments.limit)
             file.write(json.dumps(row) + "\n")
             file.flush()
+            proposed, answer = row["proposed"], row["answer"] or {}
             print(
-                f"{number}/{len(wanted)} {name} {row['test']} {(row['answer'] or {}).get('chosen')}",
+                f"{number}/{len(wanted)} {name} {proposed['test'] or 'reference'} "
+                f"{', '.join(proposed['separates'])} -> {answer.get('verdict')} {answer.get('groups')}",
                 file=sys.stderr,
             )
 
 
-def resolved_rate(directory: Path) -> Rate:
-    """How often the truth stood alone after the experiment."""
-    hits = []
-    for row in read_lines(directory / "resolved.jsonl"):
+def resolved_rates(directory: Path) -> list[tuple[str, str]]:
+    """What became of the groups that hold what was hidden: it must stand alone, and the others be gone."""
+    rows = read_lines(directory / "resolved.jsonl")
+    hits: dict[bool, list[bool]] = {True: [], False: []}
+    silent, empty = 0, 0
+    for row in read_lines(directory / "answers.jsonl"):
+        proposed = (row["answer"] or {}).get("separating_experiment")
+        if proposed is None:
+            continue
         truth = json.loads((directory / "key" / f"{row['id']}.json").read_text(encoding="utf-8"))
-        names = {effect["name"] for effect in truth["hidden"]}
-        answer = row["answer"] or {}
-        hits.append(
-            answer.get("verdict") in ("named", "sensor_fault") and set(answer.get("chosen") or []) == names
-        )
-    return Rate(sum(hits), len(hits))
+        group = set(proposed["separates"])
+        right = {effect["name"] for effect in truth["hidden"] if not effect["outside"]} & group
+        done = next((other["answer"] or {} for other in rows if other["id"] == row["id"]), None)
+        if not right:
+            empty += 1
+        elif done is None:
+            silent += 1
+        else:
+            groups = [set(given) for given in done.get("groups") or []]
+            alone = all({name} in groups for name in right)
+            hits[bool(proposed["test"])].append(alone and set().union(*groups) & group == right)
+    return [
+        ("a run is proposed: it leaves the truth alone", str(Rate(sum(hits[True]), len(hits[True])))),
+        (
+            "a reference is asked for: it leaves the truth alone",
+            str(Rate(sum(hits[False]), len(hits[False]))),
+        ),
+        ("nothing is proposed, or not done yet", str(silent)),
+        ("the truth is in no such group", str(empty)),
+    ]
 
 
 def opened(directory: Path) -> dict[str, list[Row]]:
@@ -283,19 +340,48 @@ def print_score(arguments: argparse.Namespace) -> None:
     directory = Path(arguments.directory)
     methods = opened(directory)
     rows = methods["diagnose"]
+    compare(methods)
+    if len(methods) > 1:
+        import baselines
+
+        # The same recordings for all: those with a speed, and nothing hidden that PySINDy has no term for.
+        answered = set.intersection(*({row[0]["case"]["id"] for row in own} for own in methods.values()))
+        fair = {
+            row[0]["case"]["id"]
+            for row in rows
+            if row[0]["case"]["channels"] != "voltage_current"
+            and not any(effect["name"] in baselines.BEYOND for effect in row[0]["hidden"])
+        }
+        print(f"{len(answered & fair)} recordings that every method can be asked about:\n")
+        compare({
+            name: [row for row in own if row[0]["case"]["id"] in answered & fair] for name, own in methods.items()
+        })  # fmt: skip
+        print(f"whiteness with the threshold that the key would set: {with_the_key(methods['whiteness'])}")
+    spent = [row["cpu_seconds"] for row in read_lines(directory / "answers.jsonl") if "cpu_seconds" in row]
+    if spent:
+        print(f"processor seconds a diagnosis: median {statistics.median(spent):.0f}, most {max(spent):.0f}")
+    print()
+    table(("groups (goal >= 90 %)", "measured"), resolved_rates(directory))
+    if arguments.strata:
+        table(("stratum", "wrong name", "false alarm", "detected", "right first", "in group"), strata(rows))
+    if arguments.failures:
+        Path(arguments.failures).write_text(failures(directory, rows), encoding="utf-8")
+
+
+def compare(methods: dict[str, list[Row]]) -> None:
+    """Print what `summary` says of each method side by side."""
     columns = [summary(own) for own in methods.values()]
     table(
         ("what", "goal", *methods),
         ((*columns[0][k][:2], *(column[k][2] for column in columns)) for k in range(len(columns[0]))),
     )
-    spent = [row["cpu_seconds"] for row in read_lines(directory / "answers.jsonl") if "cpu_seconds" in row]
-    if spent:
-        print(f"processor seconds a diagnosis: median {statistics.median(spent):.0f}, most {max(spent):.0f}")
-    print(f"the proposed experiment resolves the group (goal >= 90 %): {resolved_rate(directory)}\n")
-    if arguments.strata:
-        table(("stratum", "wrong name", "false alarm", "detected", "right first", "in group"), strata(rows))
-    if arguments.failures:
-        Path(arguments.failures).write_text(failures(directory, rows), encoding="utf-8")
+
+
+def with_the_key(rows: list[Row]) -> str:
+    """The detection of a statistic whose threshold is the largest value that nothing missing reaches."""
+    clean = max((row[1]["statistic"] for row in rows if row[0]["kind"] == "none" and row[1]), default=0.0)
+    hits = [(row[1] or {}).get("statistic", 0.0) > clean for row in rows if strong(row)]
+    return f"detection {Rate(sum(hits), len(hits))} at {clean:.0f} times what white noise has"
 
 
 def failures(directory: Path, rows: list[Row]) -> str:
