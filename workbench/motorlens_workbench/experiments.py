@@ -35,9 +35,9 @@ Array = NDArray[np.float64]
 # 2 log likelihood between two rivals, over the inflation of the accepted one's test, that settles the matter; and how many
 # times what the model leaves out may feign.
 SETTLED, CLEAR = 60.0, 2.0
-# A run may be made longer than its scenario has it, up to this; a shorter one than this would be judged by the torque that
-# nobody measures, which goes on for seconds.
-LONGEST_S, SHORTEST_S = 7200.0, 20.0
+# A run may be made so many times as long as its scenario has it, up to two hours; one shorter than the least would be judged
+# by the torque that nobody measures, which goes on for seconds.
+LONGER, LONGEST_S, SHORTEST_S = 20.0, 7200.0, 20.0
 # Once the rotor has stopped, a longer run of it says nothing more.
 ENDS = ("coast_down",)
 # Noise of a sensor that is not there yet, as a share of the rated value.
@@ -189,7 +189,7 @@ def _needed(
         new, seconds = _of_scenario(asked, name, floor, shown, rng)
     except (MotorlensError, FloatingPointError, ValueError):
         return None
-    longest = seconds if name in ENDS else max(LONGEST_S, seconds)
+    longest = seconds if name in ENDS else max(min(LONGER * seconds, LONGEST_S), seconds)
     if longest < SHORTEST_S:
         return None
     # What the recordings say has been weighed already: the new one must settle it.
@@ -220,7 +220,7 @@ def _of_scenario(
     own = {key: width for key, width in base_prior(file, [run]).sd.items() if "@" in key}
     keys = [*own, *asked.keys]
     columns = columns_of(model, run, 0, keys, {**fitted.prior.sd, **own}, asked.rivals, (), with_decoys=False)
-    # Noise per averaged row, as the recordings had it per row, at the rate at which they were recorded.
+    # Noise per averaged row, as the recordings had it per row, at their rate or at what the test asks for.
     whitener = white(np.array([floor[channel] for channel in run.channels]))
     z = whitener(columns.values).reshape(-1, columns.values.shape[2])
     gram = z.T @ z * _rate(asked.found, run)
@@ -234,9 +234,9 @@ def _of_scenario(
 
 
 def _rate(found: Finding, planned: Run) -> float:
-    """Rows that the recordings' own rate, the nearest of them, would bring over those of a simulated run."""
+    """Rows that the recordings' own rate, the nearest of them, would bring over those simulated; no fewer than these."""
     rates = [planned.period_s * planned.every / (run.period_s * run.every) for run in found.runs]
-    return min(rates, key=lambda rate: float(abs(np.log(rate))))
+    return max(min(rates, key=lambda rate: float(abs(np.log(rate)))), 1.0)
 
 
 def _apart(asked: _Question, gram: Array) -> tuple[float, float]:
