@@ -1,4 +1,4 @@
-"""What goes with the shaft angle must be seen while the shaft turns: against forcings in full, and against torques at rest."""
+"""What goes with the shaft angle must be seen while the shaft turns: forcings in full, and torques at rest."""
 
 from pathlib import Path
 
