@@ -113,7 +113,7 @@ def ksu_thermal(folder: Path) -> None:
     fitted, judge = runs[0::2], runs[1::2]
     options = ["--driven", "--column=temperature=4LHE Temp (ºF)", "--column=ambient=66NA Temp (ºF)"]
     tell("ksu_thermal, Mega, one run of each day", diagnose(fitted, MOTORS / "mega.toml", *options))
-    rungs = add(["iron_heat_delay"], fitted, judge, MOTORS / "mega.toml", *options)
+    rungs = add(["iron_core"], fitted, judge, MOTORS / "mega.toml", *options)
     ladder("ksu_thermal, coil, the other run of each day", rungs, "temperature", "degC")
 
 

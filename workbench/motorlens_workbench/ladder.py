@@ -111,8 +111,11 @@ def add(
             False,
             "no model with it could be simulated",
         )
-    rungs.append(_described(name, found, runs, judge, recordings, differing))
     gain = (total(now.found) - total(found)) / test.score.inflation
+    # As the rungs below: with the noise of what this model leaves.
+    found = fit(found.model, runs, found.prior)
+    found = replace(found, whiteners=noise_of(found.residuals, runs, len(found.prior.keys)))
+    rungs.append(_described(name, found, runs, judge, recordings, differing))
     before, after = rungs[-2].held_out, rungs[-1].held_out
     # Channels are traded by the logarithm of their error: what one loses, another must more than win.
     better = sum(float(np.log(after[c] / before[c])) for c in after) < 0

@@ -16,7 +16,7 @@ from motorlens_physics.sensor_model import SensorModel
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, shaped
 from motorlens_workbench.evidence import Evidence, Score, score, similarity
-from motorlens_workbench.fitting import Fit, Prior, fit, part_prior, start_prior
+from motorlens_workbench.fitting import RELATIVE_SD, Fit, Prior, fit, part_prior, start_prior
 from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor
 from motorlens_workbench.run import Run
 
@@ -31,6 +31,8 @@ WORTH = 1e-3
 
 # Shapes from which on their usual scatter counts.
 MANY = 5
+# Standard deviations from which on a bound is far from what was known: a rough guess of the friction is not, one of ke is.
+FAR_OFF = 1.5
 # Times the typical size that an effect, and a sensor's fault, may plausibly have.
 PLAUSIBLE = {"effect": 40.0, "sensor": 12.0}
 
@@ -222,23 +224,44 @@ def _inner(bounds: tuple[float, float], value: float) -> tuple[float, float]:
 
 
 def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], rounds: int = 12) -> Fit | None:
-    """The whole model fitted again with the candidate in it; None if no start can be simulated."""
+    """The whole model fitted again with the candidate in it; None if no start can be simulated.
+
+    It starts where the linearised problem ends, then from the fit as it is. A fit that ended in a corner made up for what is
+    missing with values that are far off: from there, what was known beforehand is tried first, the candidate at its typical
+    size, and the best of all starts counts.
+    """
     linear, prior = with_candidate(found, evidence, test)
-    unmoved = found.model.with_values({})
-    parts = parts_of(linear.file)
-    part = next(part for part in parts if part.name() == test.candidate.name)
+    part = next(part for part in parts_of(linear.file) if part.name() == test.candidate.name)
     add = with_sensor if isinstance(part, SensorModel) else with_effect
+    starts = [linear, add(found.model, part)]  # type: ignore[arg-type]
+    lost = cornered(found)
+    if lost:
+        known = found.model.with_values(found.prior.centre)
+        starts.insert(0, add(known, test.candidate.variants[test.variant][0]))  # type: ignore[arg-type]
     best: Fit | None = None
-    for start in (linear, add(unmoved, part)):  # type: ignore[arg-type]
+    for start in starts:
         try:
             tried = fit(start, runs, prior, found.whiteners, rounds=rounds)
         except ModelError:
             continue
         if best is None or total(tried) < total(best):
             best = tried
-        if total(found) - total(best) > 0.8 * test.gain:
+        if not lost and total(found) - total(best) > 0.8 * test.gain:
             break
     return best
+
+
+def cornered(found: Fit) -> bool:
+    """Whether a parameter of the motor was driven to a bound that is far from what was known of it.
+
+    The model follows only with values that no motor has, and what is read from them means little.
+    """
+    values, prior = found.model.values(), found.prior
+    return any(
+        values[key] in bounds and abs(values[key] - prior.centre[key]) > FAR_OFF * prior.sd[key]
+        for key, bounds in prior.bounds.items()
+        if key in RELATIVE_SD
+    )
 
 
 def total(found: Fit) -> float:
