@@ -69,12 +69,14 @@ def test_who_is_refitted_beside_the_best(statistic, gain, alike, rival, monkeypa
     ],
 )
 def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monkeypatch):
-    monkeypatch.setattr(verdict, "unsettled", lambda now, runs: far)
+    monkeypatch.setattr(verdict, "unsettled", lambda first, now, runs: far)
+    monkeypatch.setattr(verdict, "cornered", lambda fitted: False)
     found = SimpleNamespace(
         steps=[SimpleNamespace(gain=gain) for gain in steps],
         left=[SimpleNamespace(gain=gain) for gain in left],
         whole=[SimpleNamespace(gain=gain) for gain in whole],
-        last=SimpleNamespace(samples=10_000.0),
+        first=None,
+        last=SimpleNamespace(samples=10_000.0, found=None),
         runs=(),
     )
     bend = verdict.structure(found)

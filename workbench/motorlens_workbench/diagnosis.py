@@ -21,9 +21,9 @@ from motorlens_workbench.leftover import Bend, leftover
 from motorlens_workbench.look import Look, look, unsettled
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run, prepare_all
-from motorlens_workbench.selection import Progress
+from motorlens_workbench.selection import Progress, cornered
 from motorlens_workbench.shaft import followed
-from motorlens_workbench.steps import Step, advance, imperfections
+from motorlens_workbench.steps import Step, advance, imperfections, in_full
 
 Array = NDArray[np.float64]
 
@@ -80,8 +80,22 @@ def investigate(
         base, used = base_fit(file, without(runs, dead))
     runs = used
     say("screening all effects and sensor faults")
-    first = current = look(base, runs, own)
-    steps: list[Step] = []
+    first = look(base, runs, own)
+    steps, current, failed = _forward([], first, runs, own, say)
+    left, whole = _left(first, steps, current, runs, say)
+    if whole and cornered(base):
+        step = in_full(first, steps, whole[0].curve.equation, runs, say)
+        if step is not None:
+            say(f"screening again with {step.test.candidate.name}")
+            steps, current, failed = _forward([step], look(step.found, runs, own), runs, own, say)
+            left, whole = _left(first, steps, current, runs, say)
+    return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left), dead)
+
+
+def _forward(
+    steps: list[Step], current: Look, runs: Sequence[Run], own: Sequence[type[Effect]], say: Progress
+) -> tuple[list[Step], Look, list[str]]:
+    """Accept one effect after another from where the search stands: the steps, the last screen, what failed."""
     failed: list[str] = []
     while len(steps) < MOST:
         avoid = [*failed, *imperfections(steps, current)]
@@ -92,12 +106,18 @@ def investigate(
         steps.append(step)
         say(f"screening again with {step.test.candidate.name}")
         current = look(step.found, runs, own)
+    return steps, current, failed
+
+
+def _left(
+    first: Look, steps: Sequence[Step], current: Look, runs: Sequence[Run], say: Progress
+) -> tuple[list[Bend], list[Bend]]:
+    """Free curves that explain what the final model lacks, and, if anything is left, what the first one lacked."""
     say("looking at what is left")
     left = leftover(current.found, runs, current.decoy)
-    whole = left
-    if steps and (left or unsettled(current, runs)):
-        whole = leftover(first.found, runs, first.decoy)
-    return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left), dead)
+    if steps and (left or cornered(current.found) or unsettled(first, current, runs)):
+        return left, leftover(first.found, runs, first.decoy)
+    return left, left
 
 
 def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]]:

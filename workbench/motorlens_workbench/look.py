@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 # Times the noise floor from which on a channel is not explained.
 FAR = 2.0
+# Share of the squared error of a channel, beyond its noise, that is much of it.
+MUCH = 0.15
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,15 @@ def noise_floor(now: Look, runs: Sequence[Run]) -> dict[str, float]:
     }
 
 
-def unsettled(now: Look, runs: Sequence[Run]) -> bool:
-    """Whether the model is still far from speed or temperature; the current follows the noise on the voltage as well."""
-    error, floor = held_out(now, runs), noise_floor(now, runs)
-    return any(error[c] > FAR * floor[c] for c in error if c != "current")
+def unsettled(first: Look, now: Look, runs: Sequence[Run]) -> bool:
+    """Whether the model is still far from speed or temperature; the current follows the noise on the voltage as well.
+
+    Far is beyond the noise, and much of what there was to explain from the first model.
+    """
+    at_first, error, floor = held_out(first, runs), held_out(now, runs), noise_floor(now, runs)
+    return any(
+        error[c] > FAR * floor[c]
+        and error[c] ** 2 - floor[c] ** 2 > MUCH * (at_first[c] ** 2 - floor[c] ** 2)
+        for c in error
+        if c != "current"
+    )

@@ -1,5 +1,6 @@
 """One effect accepted after another: the candidate that the evidence prefers, fitted in full, and what could replace it."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -7,10 +8,10 @@ import numpy as np
 
 from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.evidence import score
-from motorlens_workbench.fitting import Fit
+from motorlens_workbench.fitting import Fit, plain_noise
 from motorlens_workbench.look import Look, decoy_of
 from motorlens_workbench.run import Run
-from motorlens_workbench.screen import all_columns, errors_by_block, evidence_of, with_priors
+from motorlens_workbench.screen import all_columns, errors_by_block, evidence_of, held_out_rmse, with_priors
 from motorlens_workbench.selection import (
     REAL,
     WORTH,
@@ -122,6 +123,53 @@ def advance(
         broken += [test.candidate.name for test in near]
         tests = {name: test for name, test in tests.items() if name not in broken}
     return None, broken
+
+
+def in_full(
+    now: Look, than: Sequence[Step], equation: str, runs: Sequence[Run], say: Progress
+) -> Step | None:
+    """Of all effects of an equation, each fitted in full, the best that does better than all steps taken; None if none does.
+
+    Where the model without any of them ended in a corner, the screen from there sees little of what is missing: that no
+    effect of the catalogue explains it takes a fit with each to say. Better is what leaves less on blocks of time held out,
+    and is real as seen from the model that has it.
+    """
+    tests = {
+        name: test
+        for name, test in now.tests.items()
+        if test.candidate.kind == "effect" and test.candidate.equation == equation and test.score
+    }
+    say(f"refitting with every effect of the {equation} equation")
+    tries = on_all_cores(lambda test: refit(now.found, now.evidence, test, runs), list(tests.values()))
+    refits = {step.test.candidate.name: step.found for step in than[:1]}
+    least = left_out(than[-1].found if than else now.found, runs)
+    seen, winner = dict(now.tests), None
+    for (name, test), tried in zip(tests.items(), tries, strict=True):
+        even = evenness(tried, test, runs) if tried else None
+        if tried is None or even is None:
+            continue
+        # From a corner, neither its size nor what it resembles means much; the fit says.
+        refits[name], seen[name] = tried, replace(test, allowed=True)
+        gain, error = total(now.found) - total(tried), left_out(tried, runs)
+        if error < least and gain / even > threshold(now, test) and gain > WORTH * now.samples:
+            assert test.score is not None
+            winner, least = replace(test, score=test.score.inflated(even), allowed=True), error
+    if winner is None:
+        return None
+    name = winner.candidate.name
+    step = _accept(replace(now, tests=seen), {**seen, name: winner}, name, refits, runs)
+    return replace(step, alike={other: alike for other, alike in step.alike.items() if other not in refits})
+
+
+def left_out(found: Fit, runs: Sequence[Run]) -> float:
+    """Logarithm of the error on blocks of time held out, summed over the channels.
+
+    Least squares, for it is squares that are compared: what makes noise white makes slow errors small.
+    """
+    plain = replace(found, whiteners=plain_noise(found.residuals, runs))
+    columns = all_columns(plain, runs, (), (), with_decoys=False)
+    evidence = with_priors(evidence_of(columns, runs, plain.whiteners), plain)
+    return sum(math.log(error) for error in held_out_rmse(plain, runs, columns, evidence).values())
 
 
 def _unmasked(

@@ -13,7 +13,7 @@ from motorlens_workbench.diagnosis import MOST, Finding
 from motorlens_workbench.evidence import score
 from motorlens_workbench.leftover import Bend
 from motorlens_workbench.look import Look, unsettled
-from motorlens_workbench.selection import WORTH, Test
+from motorlens_workbench.selection import WORTH, Test, cornered
 from motorlens_workbench.steps import TOLD_APART, Step
 
 # Share of the accepted gain by which rivals may differ through what the model leaves out (noise on inputs, discretisation).
@@ -119,7 +119,7 @@ def structure(found: Finding) -> Bend | None:
     share = AFTER_ALL if len(found.steps) == MOST else BETTER
     if found.steps and found.whole:
         instead = len(found.steps) > 1 and found.left and found.whole[0].gain > INSTEAD * gain
-        if instead or unsettled(found.last, found.runs):
+        if instead or cornered(found.last.found) or unsettled(found.first, found.last, found.runs):
             return found.whole[0]
     coarse = COARSE if any(run.coarse for run in found.runs) else 1.0
     worth = coarse * (WORTH if found.steps else UNNAMED) * found.last.samples
