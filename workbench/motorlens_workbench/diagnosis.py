@@ -16,7 +16,7 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
-from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
+from motorlens_workbench.fitting import MEASURED, Fit, base_prior, fit, start_model
 from motorlens_workbench.leftover import Bend, leftover
 from motorlens_workbench.look import Look, look, unsettled
 from motorlens_workbench.model import predict
@@ -124,8 +124,10 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
     """The textbook's parameters fitted, and the runs with their inputs as they fit best.
 
     Whether the voltage was held between samples or ran linearly, and whether what its sensor adds is noise or was truly
-    applied, is not written in a recording; the better fit decides.
+    applied, is not written in a recording; nor is whether a command acted at once. The better fit decides.
     """
+    if commanded(file) and not any(run.late for run in runs):
+        runs = as_applied(file, runs)
     prior = base_prior(file, runs)
     quieter = tuple(run.quieter() for run in runs)
     # Parameters fitted to noisy inputs have made up for the noise: each way is judged by a fit of its own as well.
@@ -154,6 +156,27 @@ def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]
         trajectory, y = predict(found.model, run, r)
         chosen[r] = followed(run.leaning(y) if leans else run, trajectory, y)
     return fit(found.model, chosen, prior) if leans or turned else found, tuple(chosen)
+
+
+def commanded(file: MotorFile) -> bool:
+    """Whether the voltage on record is what the drive was asked for: the motor file says that no sensor of it can lag."""
+    known = file.knowledge.get("voltage_sensor_lag.tau")
+    return known is not None and known.sd == 0 and known.source.startswith(MEASURED)
+
+
+def as_applied(file: MotorFile, runs: Sequence[Run]) -> tuple[Run, ...]:
+    """The runs, or, if that is clearly better, all with their voltage one sample later: it is one drive."""
+    prior = base_prior(file, runs)
+    ways = (tuple(runs), tuple(run.later() for run in runs))
+
+    def error(taken: Sequence[Run]) -> float:
+        found = fit(start_model(file, taken), taken, prior)
+        return sum(
+            min(_error_of(found, run, held, r)[0] for held in (False, True)) for r, run in enumerate(taken)
+        )
+
+    at_once, late = on_all_cores(error, ways)
+    return ways[late < at_once - BETTER_WAY * sum(len(run.channels) for run in runs)]
 
 
 def _error_of(found: Fit, way: Run, held: bool, r: int) -> tuple[float, float]:

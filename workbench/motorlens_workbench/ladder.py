@@ -201,12 +201,17 @@ def _described(
         added,
         file,
         held_out_rmse(found, runs, columns, evidence),
-        judged(file, judge, found.model.held, differing),
+        judged(file, judge, found.model.held, differing, late=runs[0].late),
     )
 
 
 def judged(
-    file: MotorFile, recordings: Sequence[Recording], held: Sequence[bool] = (), differing: Sequence[str] = ()
+    file: MotorFile,
+    recordings: Sequence[Recording],
+    held: Sequence[bool] = (),
+    differing: Sequence[str] = (),
+    *,
+    late: bool = False,
 ) -> dict[str, float]:
     """RMSE of each channel of free runs over whole recordings, from their first samples.
 
@@ -218,6 +223,7 @@ def judged(
         recordings: to judge by.
         held: whether the voltage was held between samples, as found with the recordings that were fitted.
         differing: parameters of the motor file, by key.
+        late: whether the voltage acts one sample later, likewise.
 
     Raises:
         DataError: the motor file has no such parameter.
@@ -225,6 +231,7 @@ def judged(
     squares: dict[str, list[Array]] = {}
     for recording in recordings:
         run = prepare(recording, file)
+        run = run.later() if late else run
         model = replace(start_model(file, [run]), held=(bool(held[0]) if held else False,))
         if differing:
             found = fit(model, [run], _only(base_prior(file, [run]), differing))

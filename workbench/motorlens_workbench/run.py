@@ -63,6 +63,7 @@ class Run:
         turns: whether what goes with the shaft angle is looked for in it, see `prepare_all`.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
         hung: channel -> when it first and last hung, in s; these samples are not valid.
+        late: whether the voltage acts one sample later than recorded, see `later`.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Run:
     turns: bool = True
     shaft: Mapping[str, Array] | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    late: bool = False
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -115,6 +117,12 @@ class Run:
         smooth = replace(shown, voltage_V=smoothed(*voltage), load_torque_Nm=smoothed(*load))
         noise = (noise_of_input(*voltage), noise_of_input(*load))
         return replace(self, inputs=smooth, input_noise=noise, smooth=True)
+
+    def later(self) -> "Run":
+        """With the voltage one sample later: a command that the drive computes in one period and applies in the next."""
+        shown = self.inputs
+        applied = np.concatenate([shown.voltage_V[:1], shown.voltage_V[:-1]])
+        return replace(self, inputs=replace(shown, voltage_V=applied), late=True)
 
     @property
     def disturbed(self) -> bool:

@@ -1,0 +1,52 @@
+"""A voltage that is a command acts when the drive has computed it: found where the motor file says that it is one."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_physics.simulation import Inputs, simulate
+from motorlens_workbench.diagnosis import base_fit
+from motorlens_workbench.run import prepare
+
+# Its motor file says that the voltage is a command.
+WHEEL = Path(__file__).resolve().parents[2] / "examples/hidden_effect/regbot.toml"
+ROWS, PERIOD_S = 800, 0.001
+
+
+def logged(late: int) -> Recording:
+    """The wheel under random levels that are held; the log has each command `late` samples before it acts."""
+    rng = np.random.default_rng(4)
+    time = np.arange(ROWS) * PERIOD_S
+    command = np.repeat(rng.choice([-6.0, -3.0, 2.0, 4.0, 6.0], ROWS // 20), 20)
+    applied = np.concatenate([np.full(late, command[0]), command[: ROWS - late]])
+    still = np.zeros(ROWS)
+    inputs = Inputs(time, applied, still, np.full(ROWS, 22.0), held=True)
+    states = simulate(read_motor_file(WHEEL).motor, inputs).states
+    measured = {
+        "voltage": command,
+        "current": states["i"] + 0.01 * rng.standard_normal(ROWS),
+        "speed": states["w"] + 0.1 * rng.standard_normal(ROWS),
+    }
+    return Recording("wheel", time, measured)
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_command_that_acts_late_is_found_and_the_inductance_does_not_make_up_for_it(late):
+    file = read_motor_file(WHEEL)
+    found, (run,) = base_fit(file, [prepare(logged(late), file)])
+    assert run.late == bool(late)
+    assert found.model.file.motor.L == pytest.approx(0.0066, rel=0.03)
+    _, (same,) = base_fit(file, [run])
+    assert np.array_equal(same.inputs.voltage_V, run.inputs.voltage_V)
+
+
+def test_a_measured_voltage_is_taken_as_it_is():
+    """What it is late by is then a lag of the other sensors, and for the screen to find."""
+    file = read_motor_file(WHEEL)
+    file = replace(file, sensors=(), knowledge={})
+    _, (run,) = base_fit(file, [prepare(logged(1), file)])
+    assert not run.late
