@@ -33,6 +33,8 @@ WORTH = 1e-3
 MANY = 5
 # Standard deviations from which on a bound is far from what was known: a rough guess of the friction is not, one of ke is.
 FAR_OFF = 1.5
+# Times the typical size from which on the largest that an effect may have is no natural limit, as the whole of a share is.
+FAR_LARGER = 3.0
 # Times the typical size that an effect, and a sensor's fault, may plausibly have.
 PLAUSIBLE = {"effect": 40.0, "sensor": 12.0}
 
@@ -252,16 +254,27 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
 
 
 def cornered(found: Fit) -> bool:
-    """Whether a parameter of the motor was driven to a bound that is far from what was known of it.
+    """Whether a parameter was driven to a bound far from what was known of it, or an effect to the largest it may be.
 
     The model follows only with values that no motor has, and what is read from them means little.
     """
     values, prior = found.model.values(), found.prior
-    return any(
+    if any(
         values[key] in bounds and abs(values[key] - prior.centre[key]) > FAR_OFF * prior.sd[key]
         for key, bounds in prior.bounds.items()
         if key in RELATIVE_SD
-    )
+    ):
+        return True
+    file = found.model.file
+    for effect in file.motor.effects:
+        switch = effect.switch()
+        if switch is None or switch.null is None:
+            continue
+        size = values[f"{effect.name()}.{switch.name}"]
+        usual = abs(switch.typical(file.rated) - switch.null)
+        if size in switch.bounds and abs(size - switch.null) > FAR_LARGER * usual:
+            return True
+    return False
 
 
 def total(found: Fit) -> float:
