@@ -20,6 +20,7 @@ from motorlens_workbench.fitting import MEASURED, Fit, base_prior, fit, start_mo
 from motorlens_workbench.leftover import Bend, leftover
 from motorlens_workbench.look import Look, look, unsettled
 from motorlens_workbench.model import predict
+from motorlens_workbench.pruning import dispensable, seen_from
 from motorlens_workbench.run import Run, prepare_all
 from motorlens_workbench.selection import Progress, cornered
 from motorlens_workbench.shaft import followed
@@ -42,7 +43,7 @@ class Finding:
         first: the screen from it.
         steps: effects accepted, in order.
         last: the screen from the final model.
-        failed: candidates whose refit did not do what the screen promised.
+        failed: candidates whose refit did not do what the screen promised, or that others made needless.
         whole: free curves that explain what the base model lacks, if anything is left in the end; the strongest first.
         left: free curves that explain what the final model lacks.
         dead: channels that follow nothing, left out of all the rest.
@@ -106,7 +107,15 @@ def _forward(
         steps.append(step)
         say(f"screening again with {step.test.candidate.name}")
         current = look(step.found, runs, own)
-    return steps, current, failed
+        while (spare := dispensable(steps, current, runs)) is not None:
+            needless, found = spare
+            name = needless.test.candidate.name
+            say(f"screening again without {name}")
+            failed.append(name)
+            steps = [one for one in steps if one is not needless]
+            steps[-1] = replace(steps[-1], gain=steps[-1].gain + needless.gain)
+            current = look(found, runs, own)
+    return [seen_from(step, current) for step in steps], current, failed
 
 
 def _left(

@@ -272,3 +272,17 @@ def with_sensor(model: Model, sensor: SensorModel) -> Model:
     """The model with a sensor model added."""
     others = tuple(other for other in model.file.sensors if other.name() != sensor.name())
     return replace(model, file=replace(model.file, sensors=(*others, sensor)))
+
+
+def without_part(model: Model, name: str) -> Model:
+    """The model without an effect or a sensor model."""
+    motor = model.file.motor.without_effect(name)
+    kept = {
+        f"initial.{state}" for state in ("i", "w", "theta", *(s for e in motor.effects for s in e.states))
+    }
+    own = [
+        {key: y for key, y in one.items() if not key.startswith("initial.") or key in kept}
+        for one in model.own
+    ]
+    sensors = tuple(sensor for sensor in model.file.sensors if sensor.name() != name)
+    return replace(model, file=replace(model.file, motor=motor, sensors=sensors), own=tuple(own))

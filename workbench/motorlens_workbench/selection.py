@@ -157,8 +157,8 @@ def pair(left: Evidence, tests: dict[str, Test], best: Test) -> tuple[Test, Test
     # Coefficient of the row's candidate beside the column's, and their joint gain.
     size = (right[:, None] * power[None, :] - right[None, :] * inner) / safe
     gain = np.where(apart, size * right[:, None] + size.T * right[None, :], 0.0)
-    possible = np.array([[_possible(t, float(c)) for c in row] for t, row in zip(able, size, strict=True)])
-    gain = np.where(possible & possible.T, gain, 0.0)
+    believed = np.array([[possible(t, float(c)) for c in row] for t, row in zip(able, size, strict=True)])
+    gain = np.where(believed & believed.T, gain, 0.0)
     a, b = np.unravel_index(int(np.argmax(gain)), gain.shape)
     needed = max(2 * REAL * best.score.inflation, 0.1 * best.score.gain)
     if gain[a, b] - best.score.gain < needed:
@@ -167,7 +167,8 @@ def pair(left: Evidence, tests: dict[str, Test], best: Test) -> tuple[Test, Test
     return (one, other) if one.statistic >= other.statistic else (other, one)
 
 
-def _possible(test: Test, coefficient: float) -> bool:
+def possible(test: Test, coefficient: float) -> bool:
+    """Whether a candidate may have a size, given in typical ones."""
     switch = test.candidate.variants[test.variant][0].switch()
     assert switch is not None and switch.null is not None
     size = coefficient * test.typical
