@@ -54,8 +54,6 @@ def seen_from(step: Step, last: Look) -> Step:
     size = _size(step, last)
     alike, losses = {}, dict(step.losses)
     for name, test in last.tests.items():
-        if test.score is None:
-            continue
         labels = test.candidate.columns()[test.variant]
         alike[name] = float(similarity(left, [key, *labels])[0, 1:].max())
         if alike[name] > NEAR and len(labels) == 1:
