@@ -15,8 +15,9 @@ from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.fitting import base_prior, fit, start_model
 from motorlens_workbench.look import look
 from motorlens_workbench.model import without_part
-from motorlens_workbench.pruning import dispensable, seen_from
+from motorlens_workbench.pruning import dispensable, seen_from, simpler
 from motorlens_workbench.run import prepare_all
+from motorlens_workbench.selection import refit
 from motorlens_workbench.steps import Step
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
@@ -71,6 +72,31 @@ def test_what_a_later_effect_makes_needless_is_dropped(both, first):
     assert needless is steps[0]
     assert not [key for key in less.prior.keys if key.startswith("quadratic_drag")]
     assert less.model.values()["coulomb_friction.tau_c"] == pytest.approx(0.5, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("true", "given_way"),
+    [(effect("coulomb_friction", tau_c=0.5), True), (effect("stribeck_friction", tau_s=1.0), False)],
+)
+def test_what_claims_more_gives_way_where_a_simpler_rival_does_as_well(true, given_way):
+    """The model has friction that falls with speed, and a drag that came later; the rival is friction that does not fall."""
+    textbook, now, runs = screened(true, effect("stribeck_friction"), effect("quadratic_drag"))
+    test = textbook.tests["coulomb_friction"]
+    tried = refit(textbook.found, textbook.evidence, test, runs)
+    rivals = {"coulomb_friction": tried}, {"coulomb_friction": test}
+    first = Step(
+        textbook.tests["stribeck_friction"], now.found, 1000.0, {"coulomb_friction": 50.0}, {}, *rivals
+    )
+    last = Step(textbook.tests["quadratic_drag"], now.found, 10.0, {}, {})
+    swap = simpler([first, last], now, runs)
+    if not given_way:
+        assert swap is None
+        return
+    former, step = swap
+    assert former is first
+    assert step.test is test
+    assert step.found.model.values()["coulomb_friction.tau_c"] == pytest.approx(0.5, rel=0.03)
+    assert step.losses["stribeck_friction"] == 0.0
 
 
 def test_a_twin_is_one_as_seen_from_the_final_model():

@@ -20,11 +20,11 @@ from motorlens_workbench.fitting import MEASURED, Fit, base_prior, fit, start_mo
 from motorlens_workbench.leftover import Bend, leftover
 from motorlens_workbench.look import Look, look, unsettled
 from motorlens_workbench.model import predict
-from motorlens_workbench.pruning import dispensable, seen_from
+from motorlens_workbench.pruning import dispensable, seen_from, simpler
 from motorlens_workbench.run import Run, prepare_all
 from motorlens_workbench.selection import Progress, cornered
 from motorlens_workbench.shaft import followed
-from motorlens_workbench.steps import Step, advance, imperfections, in_full
+from motorlens_workbench.steps import Step, advance, imperfections, in_full, uneven
 
 Array = NDArray[np.float64]
 
@@ -84,6 +84,11 @@ def investigate(
     first = look(base, runs, own)
     steps, current, failed = _forward([], first, runs, own, say)
     left, whole = _left(first, steps, current, runs, say)
+    step = uneven(current, failed, runs, say) if left and len(steps) < MOST else None
+    if step is not None:
+        say(f"screening again with {step.test.candidate.name}")
+        steps, current, failed = _forward([*steps, step], look(step.found, runs, own), runs, own, say)
+        left, whole = _left(first, steps, current, runs, say)
     if whole and cornered(base):
         step = in_full(first, steps, whole[0].curve.equation, runs, say)
         if step is not None:
@@ -115,6 +120,11 @@ def _forward(
             steps = [one for one in steps if one is not needless]
             steps[-1] = replace(steps[-1], gain=steps[-1].gain + needless.gain)
             current = look(found, runs, own)
+    if (swap := simpler(steps, current, runs)) is not None:
+        former, step = swap
+        say(f"screening again with {step.test.candidate.name} for {former.test.candidate.name}")
+        steps = [step if one is former else one for one in steps]
+        current = look(step.found, runs, own)
     return [seen_from(step, current) for step in steps], current, failed
 
 

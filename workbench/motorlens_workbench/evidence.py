@@ -237,8 +237,8 @@ def similarity(left: Evidence, names: Sequence[str]) -> Array:
     """(k, k) squared correlation of columns after projection: 1 means no data of this kind can tell them apart."""
     at = left.index(names)
     inner = left.total[np.ix_(at, at)]
-    scale = np.maximum(np.diagonal(inner), 1e-300)
-    return np.asarray(inner**2 / np.outer(scale, scale))
+    scale = np.sqrt(np.maximum(np.diagonal(inner), 1e-300))
+    return np.asarray((inner / np.outer(scale, scale)) ** 2)
 
 
 def curve_gain(left: Evidence, names: Sequence[str]) -> tuple[float, float, Score | None]:

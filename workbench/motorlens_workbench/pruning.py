@@ -7,15 +7,16 @@ methods for digital computers, Wiley.
 from collections.abc import Sequence
 from dataclasses import replace
 
+from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence import score, similarity
-from motorlens_workbench.fitting import Fit, Prior, fit
+from motorlens_workbench.fitting import Fit, Prior, fit, part_prior, start_prior
 from motorlens_workbench.look import Look
-from motorlens_workbench.model import without_part
+from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor, without_part
 from motorlens_workbench.run import Run
 from motorlens_workbench.selection import REAL, WORTH, possible, total
-from motorlens_workbench.steps import AMONG, NEAR, Step
+from motorlens_workbench.steps import AMONG, NEAR, Step, as_good, inflation_of
 
 
 def dispensable(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[Step, Fit] | None:
@@ -41,6 +42,40 @@ def dispensable(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[
     return losses[min(losses)] if losses else None
 
 
+def simpler(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[Step, Step] | None:
+    """A step before the last, and the one of a simpler rival that does as well beside the others; None if none does.
+
+    While others were missing, what claims more had more to explain.
+    """
+    for step in steps[:-1]:
+        able = {
+            name: test
+            for name, test in step.rivals.items()
+            if test.candidate.claims < step.test.candidate.claims
+            and now.found.model.file.motor.effect(name) is None
+        }
+        tries = on_all_cores(lambda name: _instead(now.found, step, name, runs), able)  # noqa: B023
+        for (name, test), tried in zip(able.items(), tries, strict=True):
+            if tried is not None and as_good(tried, now.found, inflation_of(step.test), runs):
+                winner = step.test.candidate.name
+                return step, replace(
+                    step, test=test, found=tried, losses={**step.losses, name: 0.0, winner: 0.0}
+                )
+    return None
+
+
+def _instead(found: Fit, step: Step, name: str, runs: Sequence[Run]) -> Fit | None:
+    """The fit with a rival in the place of a step, begun where the rival had been fitted."""
+    less = without_part(found.model, step.test.candidate.name)
+    part = next(part for part in parts_of(step.refits[name].model.file) if part.name() == name)
+    model = with_sensor(less, part) if isinstance(part, SensorModel) else with_effect(less, part)
+    prior = _of(found.prior, less).joined(part_prior(model.file, name)).joined(start_prior(model, name))
+    try:
+        return fit(model, runs, prior, found.whiteners)
+    except ModelError:
+        return None
+
+
 def key_of(step: Step) -> str:
     """The parameter that is the size of an accepted effect."""
     return f"{step.test.candidate.name}.{step.test.candidate.switch}"
@@ -49,11 +84,14 @@ def key_of(step: Step) -> str:
 def seen_from(step: Step, last: Look) -> Step:
     """The step with what resembles it, and could replace it, as seen from the final model, which lacks nothing else."""
     assert step.test.score is not None
-    key = key_of(step)
-    left = last.evidence.given([other for other in last.found.prior.keys if other != key])
+    key, own = key_of(step), f"{step.test.candidate.name}."
+    # A rival stands in for the effect as it is, its shape as well.
+    left = last.evidence.given([other for other in last.found.prior.keys if not other.startswith(own)])
     size = _size(step, last)
     alike, losses = {}, dict(step.losses)
     for name, test in last.tests.items():
+        if test.involved:
+            continue
         labels = test.candidate.columns()[test.variant]
         alike[name] = float(similarity(left, [key, *labels])[0, 1:].max())
         if alike[name] > NEAR and len(labels) == 1:
@@ -74,15 +112,18 @@ def _size(step: Step, now: Look) -> float:
 
 def _without(found: Fit, name: str, runs: Sequence[Run]) -> Fit | None:
     model = without_part(found.model, name)
-    left = model.values()
-    kept = [key for key in found.prior.keys if key in left]
-    known = found.prior
-    prior = Prior(
+    try:
+        return fit(model, runs, _of(found.prior, model), found.whiteners)
+    except ModelError:
+        return None
+
+
+def _of(known: Prior, model: Model) -> Prior:
+    """What is known of those parameters that a model has."""
+    values = model.values()
+    kept = [key for key in known.keys if key in values]
+    return Prior(
         {key: known.centre[key] for key in kept},
         {key: known.sd[key] for key in kept},
         {key: known.bounds[key] for key in kept},
     )
-    try:
-        return fit(model, runs, prior, found.whiteners)
-    except ModelError:
-        return None

@@ -35,6 +35,9 @@ MANY = 5
 FAR_OFF = 1.5
 # Times the typical size from which on the largest that an effect may have is no natural limit, as the whole of a share is.
 FAR_LARGER = 3.0
+# What claims more than this (see `Candidate.claims`) can pass for much that it is not: it is tried only where a textbook
+# that ended in a corner shows that nothing simpler will do.
+MOST_CLAIMS = 5
 # Times the typical size that an effect, and a sensor's fault, may plausibly have.
 PLAUSIBLE = {"effect": 40.0, "sensor": 12.0}
 
@@ -68,6 +71,11 @@ class Test:
     def gain(self) -> float:
         """Fall of the whitened sum of squares."""
         return self.score.gain if self.score and self.allowed else 0.0
+
+    @property
+    def involved(self) -> bool:
+        """Whether it claims so much that simpler ones go first."""
+        return self.candidate.claims > MOST_CLAIMS
 
     def detectable(self, samples: float) -> float:
         """The smallest size that would be called real and worth having, in the switch's unit."""

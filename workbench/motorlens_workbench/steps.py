@@ -52,6 +52,7 @@ class Step:
             0 for the winner itself.
         alike: squared correlation with each other candidate.
         refits: fits with the rivals that were refitted.
+        rivals: the screen's tests of these.
     """
 
     test: Test
@@ -60,6 +61,7 @@ class Step:
     losses: dict[str, float]
     alike: dict[str, float]
     refits: dict[str, Fit] = field(default_factory=dict)
+    rivals: dict[str, Test] = field(default_factory=dict)
 
 
 def imperfections(steps: Sequence[Step], now: Look) -> list[str]:
@@ -91,13 +93,14 @@ def advance(
     `explained` is the gain of what was accepted before: a very small share of it may be that one's imperfection.
     """
     broken: list[str] = []
-    tests = {name: test for name, test in now.tests.items() if name not in avoid}
+    tests = _simple(now, avoid)
     for _ in range(3):
         worth = max(WORTH * now.samples, AMONG * explained)
         standing = [t for t in tests.values() if t.statistic > REAL and t.gain > worth]
         standing.sort(key=lambda test: -test.statistic)
         standing = [test for test in standing[:8] if test.statistic > threshold(now, test)]
-        step = _unmasked(now, tests, max((test.gain for test in standing), default=worth), runs, say)
+        known = max((test.gain for test in standing), default=worth)
+        step = _unmasked(now, tests, max(known, STRONG / MASKED * now.samples), runs, say)
         if step is not None:
             return step, broken
         if not standing:
@@ -123,6 +126,15 @@ def advance(
         broken += [test.candidate.name for test in near]
         tests = {name: test for name, test in tests.items() if name not in broken}
     return None, broken
+
+
+def uneven(now: Look, avoid: Sequence[str], runs: Sequence[Run], say: Progress) -> Step | None:
+    """Where a curve without a name is left: a candidate that would explain it, though unevenly. None if none holds."""
+    return _unmasked(now, _simple(now, avoid), WORTH * now.samples, runs, say)
+
+
+def _simple(now: Look, avoid: Sequence[str]) -> dict[str, Test]:
+    return {name: test for name, test in now.tests.items() if name not in avoid and not test.involved}
 
 
 def in_full(
@@ -183,8 +195,7 @@ def _unmasked(
     masked = [
         test
         for test in tests.values()
-        if test.gain > max(MASKED * known, MASKED * REAL, STRONG * now.samples)
-        and test.statistic <= threshold(now, test)
+        if test.gain > MASKED * max(known, REAL) and test.statistic <= threshold(now, test)
     ]
     masked.sort(key=lambda test: -test.gain)
     masked = masked[:MOST_MASKED]
@@ -223,17 +234,23 @@ def simplest(good: Mapping[str, Fit], tests: Mapping[str, Test], runs: Sequence[
     doi:10.2307/1912557).
     """
     best = min(good, key=lambda name: total(good[name]))
-    score_of_best = tests[best].score
-    assert score_of_best is not None
-
-    def as_good(name: str) -> bool:
-        worse, scatter = compared(good[name], good[best], runs)
-        return worse <= max(AS_GOOD, min(AS_GOOD * score_of_best.inflation, SURE * scatter))
-
+    inflation = inflation_of(tests[best])
     return min(
-        (name for name in good if as_good(name)),
+        (name for name in good if as_good(good[name], good[best], inflation, runs)),
         key=lambda name: (tests[name].candidate.claims, total(good[name])),
     )
+
+
+def inflation_of(test: Test) -> float:
+    """Scatter of a candidate's test between blocks of time."""
+    assert test.score is not None
+    return test.score.inflation
+
+
+def as_good(one: Fit, best: Fit, inflation: float, runs: Sequence[Run]) -> bool:
+    """Whether a fit is worse than the best by no more than chance, or than what the scatter between blocks lets it be."""
+    worse, scatter = compared(one, best, runs)
+    return worse <= max(AS_GOOD, min(AS_GOOD * inflation, SURE * scatter))
 
 
 def compared(one: Fit, other: Fit, runs: Sequence[Run]) -> tuple[float, float]:
@@ -268,7 +285,7 @@ def _accept(
     gain = total(now.found) - total(found)
     losses, alike = {winner: 0.0}, {}
     for name, test in now.tests.items():
-        if name == winner or test.score is None:
+        if name == winner or test.score is None or (test.involved and name not in refits):
             continue
         alike[name] = likeness(now.left, chosen, test)
         # Twins are as significant as each other; a column of scatter is not a rival however large its gain.
@@ -282,4 +299,5 @@ def _accept(
         else:
             loss = chosen.score.gain - test.score.gain
         losses[name] = max(loss, 0.0) / inflation
-    return Step(chosen, found, gain, losses, alike, {k: v for k, v in refits.items() if k != winner})
+    others = {name: tried for name, tried in refits.items() if name != winner}
+    return Step(chosen, found, gain, losses, alike, others, {name: now.tests[name] for name in others})
