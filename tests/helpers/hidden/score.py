@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from helpers.hidden.effects import CHANNELS
+from helpers.hidden.motors import MOTORS
 from scipy.stats import norm
 
 Truth = dict[str, Any]
@@ -153,10 +154,19 @@ def sizes(rows: Sequence[Row]) -> tuple[list[float], list[bool]]:
                 and effect["name"] in (answer.get("chosen") or [])
                 and told
             ):
-                off = abs(told["value"] - effect["size"])
-                errors.append(off / abs(effect["size"] - effect["null"]))
+                unit = catalogue_unit(truth, effect["name"])
+                off = abs(told["value"] - effect["size"] * unit)
+                errors.append(off / abs((effect["size"] - effect["null"]) * unit))
                 inside.append(off <= 1.6449 * (told.get("sd") or 0.0))
     return errors, inside
+
+
+def catalogue_unit(truth: Truth, name: str) -> float:
+    """What a hidden size is multiplied by to be the catalogue's parameter.
+
+    The generator has a flux that falls with r i^2, r in 1/A^2; the catalogue s i_n (i / i_n)^n, with i_n the rated current.
+    """
+    return MOTORS[truth["case"]["motor"]].current_A if name == "armature_reaction" else 1.0
 
 
 def calibration(rows: Sequence[Row], bins: int = 10) -> tuple[float, int]:
