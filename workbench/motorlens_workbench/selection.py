@@ -279,7 +279,10 @@ def cornered(found: Fit) -> bool:
         switch = effect.switch()
         if switch is None or switch.null is None:
             continue
-        size = values[f"{effect.name()}.{switch.name}"]
+        key = f"{effect.name()}.{switch.name}"
+        if key not in prior.keys:
+            continue
+        size = values[key]
         usual = abs(switch.typical(file.rated) - switch.null)
         if size in switch.bounds and abs(size - switch.null) > FAR_LARGER * usual:
             return True
