@@ -60,8 +60,8 @@ def test_who_is_refitted_beside_the_best(statistic, gain, alike, rival, monkeypa
     [
         ([], [70.0], [], False, None),  # a curve without a name must explain eight thousandths
         ([], [90.0], [], False, 90.0),
-        ([1000.0], [140.0], [900.0], False, None),
-        ([1000.0], [160.0], [900.0], False, 160.0),
+        ([1000.0], [70.0], [900.0], False, None),
+        ([1000.0], [90.0], [900.0], False, 90.0),
         ([600.0, 300.0, 100.0], [60.0], [1200.0], False, 60.0),  # after three names less is enough
         ([600.0, 400.0], [60.0], [1200.0], False, None),
         ([600.0, 400.0], [60.0], [1300.0], False, 1300.0),  # one curve instead of two names
@@ -84,7 +84,7 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
 
 
 @pytest.mark.parametrize(
-    ("coarse", "gain", "named"), [(False, 90.0, True), (True, 230.0, False), (True, 250.0, True)]
+    ("coarse", "gain", "named"), [(False, 90.0, True), (True, 150.0, False), (True, 170.0, True)]
 )
 def test_a_curve_must_stand_out_of_a_coarse_converter(coarse, gain, named):
     found = SimpleNamespace(
