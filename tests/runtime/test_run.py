@@ -19,6 +19,7 @@ from helpers.sensor_files import write_sensor
 from helpers.wire_device import WireDevice
 
 from motorlens_runtime.cli import main
+from motorlens_runtime.quality import Quality
 
 
 @pytest.fixture
@@ -40,6 +41,13 @@ def report():
 def lines(path):
     with open(path) as file:
         return file.read().splitlines()
+
+
+def estimates(path):
+    """Rows of a CSV but for what a busy machine adds: repeats of the last row, and that it was late."""
+    rows = [line.rpartition(",") for line in lines(path)[1:]]
+    fresh = [(row, int(quality)) for row, _, quality in rows if not int(quality) & Quality.STALE]
+    return [(row, quality & ~Quality.OVERLOAD) for row, quality in fresh]
 
 
 @pytest.mark.parametrize(("rate_Hz", "n"), [(1000, 1), (10_000, 10), (20_000, 20)])
@@ -281,7 +289,7 @@ def test_frames_over_tcp_and_udp_and_a_pipe(here):
     )
     server.close()
     assert report()["samples"] == 2000
-    expected = lines("a.csv")
+    expected = estimates("a.csv")
 
     probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     probe.bind(("127.0.0.1", 0))
@@ -298,7 +306,7 @@ def test_frames_over_tcp_and_udp_and_a_pipe(here):
 
     threading.Thread(target=send, daemon=True).start()
     run("--source", f"udp://127.0.0.1:{port}", "--publish", "csv:b.csv", "--duration", 2)
-    assert lines("b.csv") == expected
+    assert estimates("b.csv") == expected
 
     command = [
         sys.executable,
@@ -313,7 +321,7 @@ def test_frames_over_tcp_and_udp_and_a_pipe(here):
         "csv:c.csv",
     ]
     subprocess.run(command, input=b"".join(wire), check=True, capture_output=True)
-    assert lines("c.csv") == expected
+    assert estimates("c.csv") == expected
 
 
 def test_a_reader_that_leaves_ends_it(here):
