@@ -273,7 +273,7 @@ def fit(
         tolerance: stop when a round lowers the sum of squares by less than this share (and less than 0.1).
 
     Raises:
-        ModelError: the starting point cannot be simulated.
+        ModelError: the starting point cannot be simulated, or the way from it leads where nothing can be.
     """
     keys = prior.keys
     residuals = residuals_of(model, runs)
@@ -286,6 +286,8 @@ def fit(
         values = model.values()
         cost = squares(residuals, runs, noise) + penalty_of(values, prior)
         gram, gradient = normal_equations(model, runs, keys, noise, residuals)
+        if not np.isfinite(gram).all():
+            raise ModelError("the model's response to its parameters has no bound; start from other values")
         gram += np.diag(1 / scale**2)
         gradient += np.array([(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys])
         moved = False
