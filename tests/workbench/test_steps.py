@@ -120,3 +120,27 @@ def test_how_warm_the_housing_was_is_found(housing_K):
     found = fit(started, [run], own)
     at, width = found.model.values()["initial.theta_h@0"], found.sd()["initial.theta_h@0"]
     assert abs(at - housing_K) < 4 * width and 0.0 < width < 2.0
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "corner"),
+    [
+        ("R_a0", 3.6, False),
+        ("R_a0", "low", True),  # a twentieth of the motor file's
+        ("magnet_temperature.beta", 0.002, False),
+        ("magnet_temperature.beta", "high", True),  # five times what the strongest magnets lose
+        ("iron_loss_torque.s", "high", False),  # the whole of a share is a natural limit
+    ],
+)
+def test_values_that_no_motor_has_are_a_corner(key, value, corner):
+    file = read_motor_file(MOTOR)
+    name = key.partition(".")[0]
+    if name in catalogue():
+        file = replace(file, motor=file.motor.with_effect(catalogue()[name].typical(file.rated)))
+    time = np.arange(100) * 0.01
+    channels = {"voltage": np.full(100, 20.0), "current": np.ones(100), "speed": np.ones(100)}
+    runs = [prepare(Recording("any", time, channels), file)]
+    prior = base_prior(file, runs)
+    bound = dict(zip(("low", "high"), prior.bounds[key], strict=True))
+    model = start_model(file, runs).with_values({key: bound.get(value, value)})
+    assert selection.cornered(SimpleNamespace(model=model, prior=prior)) == corner

@@ -59,6 +59,11 @@ class Candidate:
         return what.name
 
     @property
+    def key(self) -> str:
+        """The switch among a model's parameters."""
+        return f"{self.name}.{self.switch}"
+
+    @property
     def claims(self) -> int:
         """How much it claims: the balances it enters, and the parameters that are free."""
         what = self.variants[0][0]

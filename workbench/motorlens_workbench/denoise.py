@@ -18,8 +18,8 @@ from scipy.signal import lfilter
 Array = NDArray[np.float64]
 
 WINDOWS = (1, 3, 5, 9, 17, 33, 65, 129, 257, 513)
-# Half width of a confidence interval, in standard deviations: what smoothing leaves of the noise is known and allowed for,
-# what it takes from the signal is not (at 2.4 a tenth of what it took had been applied, at 1.7 none).
+# Half width of a confidence interval, in standard deviations. Narrow: what smoothing leaves of the noise is known and
+# allowed for, what it takes from the signal is not.
 CONFIDENCE = 1.5
 # Noise that lasts: samples in a piece, how much louder than the quietest a piece may be, lags at which it is looked at, the
 # correlation of neighbours and the share of the noise above which it counts, and how much of it is kept from one sample to

@@ -82,19 +82,23 @@ def investigate(
     runs = used
     say("screening all effects and sensor faults")
     first = look(base, runs, own)
-    steps, current, failed = _forward([], first, runs, own, say)
-    left, whole = _left(first, steps, current, runs, say)
+
+    def onward(steps: list[Step]) -> tuple[list[Step], Look, list[str], list[Bend], list[Bend]]:
+        now = first
+        if steps:
+            say(f"screening again with {steps[-1].test.candidate.name}")
+            now = look(steps[-1].found, runs, own)
+        steps, now, failed = _forward(steps, now, runs, own, say)
+        return steps, now, failed, *_left(first, steps, now, runs, say)
+
+    steps, current, failed, left, whole = onward([])
     step = uneven(current, failed, runs, say) if left and len(steps) < MOST else None
     if step is not None:
-        say(f"screening again with {step.test.candidate.name}")
-        steps, current, failed = _forward([*steps, step], look(step.found, runs, own), runs, own, say)
-        left, whole = _left(first, steps, current, runs, say)
-    if whole and cornered(base):
-        step = in_full(first, steps, whole[0].curve.equation, runs, say)
-        if step is not None:
-            say(f"screening again with {step.test.candidate.name}")
-            steps, current, failed = _forward([step], look(step.found, runs, own), runs, own, say)
-            left, whole = _left(first, steps, current, runs, say)
+        steps, current, failed, left, whole = onward([*steps, step])
+    # Where the textbook alone could not follow, the search may have begun in the wrong place.
+    step = in_full(first, steps, whole[0].curve.equation, runs, say) if whole and cornered(base) else None
+    if step is not None:
+        steps, current, failed, left, whole = onward([step])
     return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left), dead)
 
 

@@ -208,6 +208,11 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     )
 
 
+def own_score(evidence: Evidence, keys: Sequence[str], key: str) -> Score | None:
+    """Score test of one fitted parameter beside all others, from the model that holds it: how evenly the data bear it."""
+    return score(evidence.given([other for other in keys if other != key]), [key])
+
+
 def statistics(left: Evidence, given: Sequence[str] = ()) -> Array:
     """(M - 1,) the robust statistic of every single column at once, given further columns; 0 for what these explain."""
     # Of the evidence given those columns only its diagonals and its last columns are needed, which is little work.

@@ -6,11 +6,12 @@ methods for digital computers, Wiley.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.evidence import score, similarity
+from motorlens_workbench.evidence import own_score, similarity
 from motorlens_workbench.fitting import Fit, Prior, fit, part_prior, start_prior
 from motorlens_workbench.look import Look
 from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor, without_part
@@ -32,8 +33,7 @@ def dispensable(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[
     worth = max(WORTH * now.samples, AMONG * sum(step.gain for step in steps))
     losses = {}
     for step, less in zip(earlier, fits, strict=True):
-        key = key_of(step)
-        seen = score(now.evidence.given([other for other in now.found.prior.keys if other != key]), [key])
+        seen = own_score(now.evidence, now.found.prior.keys, step.test.candidate.key)
         if less is None or seen is None:
             continue
         loss = total(less) - total(now.found)
@@ -54,7 +54,7 @@ def simpler(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[Step
             if test.candidate.claims < step.test.candidate.claims
             and now.found.model.file.motor.effect(name) is None
         }
-        tries = on_all_cores(lambda name: _instead(now.found, step, name, runs), able)  # noqa: B023
+        tries = on_all_cores(partial(_instead, now.found, step, runs), able)
         for (name, test), tried in zip(able.items(), tries, strict=True):
             if tried is not None and as_good(tried, now.found, inflation_of(step.test), runs):
                 winner = step.test.candidate.name
@@ -64,7 +64,7 @@ def simpler(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[Step
     return None
 
 
-def _instead(found: Fit, step: Step, name: str, runs: Sequence[Run]) -> Fit | None:
+def _instead(found: Fit, step: Step, runs: Sequence[Run], name: str) -> Fit | None:
     """The fit with a rival in the place of a step, begun where the rival had been fitted."""
     less = without_part(found.model, step.test.candidate.name)
     part = next(part for part in parts_of(step.refits[name].model.file) if part.name() == name)
@@ -76,15 +76,10 @@ def _instead(found: Fit, step: Step, name: str, runs: Sequence[Run]) -> Fit | No
         return None
 
 
-def key_of(step: Step) -> str:
-    """The parameter that is the size of an accepted effect."""
-    return f"{step.test.candidate.name}.{step.test.candidate.switch}"
-
-
 def seen_from(step: Step, last: Look) -> Step:
     """The step with what resembles it, and could replace it, as seen from the final model, which lacks nothing else."""
     assert step.test.score is not None
-    key, own = key_of(step), f"{step.test.candidate.name}."
+    key, own = step.test.candidate.key, f"{step.test.candidate.name}."
     # A rival stands in for the effect as it is, its shape as well.
     left = last.evidence.given([other for other in last.found.prior.keys if not other.startswith(own)])
     size = _size(step, last)
@@ -105,7 +100,7 @@ def seen_from(step: Step, last: Look) -> Step:
 
 def _size(step: Step, now: Look) -> float:
     """Of an accepted effect, away from null, in standard deviations of its prior."""
-    key = key_of(step)
+    key = step.test.candidate.key
     null = now.found.model.file.meaning(key).null or 0.0
     return (now.found.model.values()[key] - null) / now.found.prior.sd[key]
 

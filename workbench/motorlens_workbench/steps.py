@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motorlens_physics.threads import on_all_cores
-from motorlens_workbench.evidence import score
+from motorlens_workbench.evidence import own_score
 from motorlens_workbench.fitting import Fit, plain_noise
 from motorlens_workbench.look import Look, decoy_of
 from motorlens_workbench.run import Run
@@ -222,8 +222,7 @@ def evenness(found: Fit, test: Test, runs: Sequence[Run]) -> float | None:
     """Scatter between blocks of an effect's size, seen from the model that has it, over what noise would give."""
     columns = all_columns(found, runs, (), (), with_decoys=False)
     evidence = with_priors(evidence_of(columns, runs, found.whiteners), found)
-    key = f"{test.candidate.name}.{test.candidate.switch}"
-    tested = score(evidence.given([other for other in found.prior.keys if other != key]), [key])
+    tested = own_score(evidence, found.prior.keys, test.candidate.key)
     return tested.inflation if tested else None
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motorlens_workbench.diagnosis import MOST, Finding
-from motorlens_workbench.evidence import score
+from motorlens_workbench.evidence import own_score
 from motorlens_workbench.leftover import Bend
 from motorlens_workbench.look import Look, unsettled
 from motorlens_workbench.selection import WORTH, Test, cornered
@@ -213,7 +213,7 @@ def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
 def measured(now: Look, key: str) -> tuple[float, float]:
     """A fitted parameter and its standard deviation: scatter between blocks, and half the bias of input errors."""
     prior = now.found.prior
-    tested = score(now.evidence.given([other for other in prior.keys if other != key]), [key])
+    tested = own_score(now.evidence, prior.keys, key)
     value, unit = now.found.model.values()[key], prior.sd[key]
     if tested is None:
         return value, unit
