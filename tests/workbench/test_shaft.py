@@ -20,7 +20,7 @@ from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.fitting import start_model
 from motorlens_workbench.leftover import leftover
 from motorlens_workbench.look import look
-from motorlens_workbench.model import predict, with_effect
+from motorlens_workbench.model import predict, sensitivities_of, with_effect
 from motorlens_workbench.run import prepare_all
 from motorlens_workbench.shaft import between_samples, followed
 
@@ -95,6 +95,22 @@ def test_what_the_ripple_changes_follows_from_the_shaft_as_followed(turning):
         expected, found = truth[500:, c], change[500:, c]
         assert np.std(found - expected) < 0.35 * np.std(expected)
         assert 0.85 < np.std(found) / np.std(expected) < 1.15
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_phase_of_nought_has_a_derivative(turning, held):
+    """What a change of the phase does to what is shown, against the difference of two simulations."""
+    file, recording, _, ripple = turning
+    run = prepare_all([recording], file)[0]
+    plain = replace(start_model(file, [run]), held=(held,))
+    known = followed(run, *predict(plain, run, 0))
+    key = "commutation_ripple.p"
+    model = with_effect(plain, replace(ripple, p=0.0))
+    found = sensitivities_of(model, known, 0, [key])[2][:, :, 0]
+    ahead, behind = (predict(model.with_values({key: step}), known, 0)[1] for step in (0.05, -0.05))
+    expected = (ahead - behind) / 0.1
+    assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
+    assert np.abs(expected).max() > 0.1
 
 
 @dataclass(frozen=True)

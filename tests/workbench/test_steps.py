@@ -10,11 +10,13 @@ import pytest
 from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
+from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench import selection, verdict
+from motorlens_workbench.evidence import Score
 from motorlens_workbench.fitting import Prior, base_prior, fit, start_model
 from motorlens_workbench.run import prepare
-from motorlens_workbench.steps import imperfections
+from motorlens_workbench.steps import imperfections, likely
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -73,8 +75,8 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
     monkeypatch.setattr(verdict, "cornered", lambda fitted: False)
     found = SimpleNamespace(
         steps=[SimpleNamespace(gain=gain) for gain in steps],
-        left=[SimpleNamespace(gain=gain) for gain in left],
-        whole=[SimpleNamespace(gain=gain) for gain in whole],
+        left=[SimpleNamespace(gain=gain, best=20.0) for gain in left],
+        whole=[SimpleNamespace(gain=gain, best=20.0) for gain in whole],
         first=None,
         last=SimpleNamespace(samples=10_000.0, found=None),
         runs=(),
@@ -88,10 +90,31 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
 )
 def test_a_curve_must_stand_out_of_a_coarse_converter(coarse, gain, named):
     found = SimpleNamespace(
-        steps=[], left=[SimpleNamespace(gain=gain)], whole=[], last=SimpleNamespace(samples=10_000.0),
+        steps=[], left=[SimpleNamespace(gain=gain, best=20.0)], whole=[], last=SimpleNamespace(samples=10_000.0),
         runs=[SimpleNamespace(coarse=False), SimpleNamespace(coarse=coarse)],
     )  # fmt: skip
     assert (verdict.structure(found) is not None) == named
+
+
+@pytest.mark.parametrize(
+    ("gain", "best", "seen"),
+    [(30.0, 50.0, True), (20.0, 50.0, False), (30.0, 40.0, False), (70.0, 46.0, False)],
+)
+def test_a_sharp_curve_without_a_name_may_explain_less(gain, best, seen):
+    found = SimpleNamespace(
+        steps=[], left=[SimpleNamespace(gain=gain, best=best)], whole=[], last=SimpleNamespace(samples=10_000.0),
+        runs=[],
+    )  # fmt: skip
+    assert (verdict.structure(found) is not None) == seen
+
+
+@pytest.mark.parametrize(("blocks", "rather"), [(1.0, False), (4.0, True), (60.0, True)])
+def test_what_hardly_a_block_of_time_bears_is_rather_chance(blocks, rather):
+    """A statistic of 45, by Student's t: near certain with many blocks, met by chance in one of fifty with one."""
+    one = np.ones((1, 1))
+    tested = Score(("it#0.0",), one[0], one, 45.0, 1.0, 45.0, blocks, 1.0, one)
+    typical = selection.Test(SimpleNamespace(), 0, tested, 1.0, True, 1.0)
+    assert likely(typical, 40) == rather
 
 
 @pytest.mark.parametrize("housing_K", [12.0, 38.0])
@@ -130,6 +153,8 @@ def test_how_warm_the_housing_was_is_found(housing_K):
         ("magnet_temperature.beta", 0.002, False),
         ("magnet_temperature.beta", "high", True),  # five times what the strongest magnets lose
         ("iron_loss_torque.s", "high", False),  # the whole of a share is a natural limit
+        ("current_sensor_gain.gain", 1.1, False),
+        ("current_sensor_gain.gain", "low", True),  # a tenth of what flows
     ],
 )
 def test_values_that_no_motor_has_are_a_corner(key, value, corner):
@@ -137,6 +162,8 @@ def test_values_that_no_motor_has_are_a_corner(key, value, corner):
     name = key.partition(".")[0]
     if name in catalogue():
         file = replace(file, motor=file.motor.with_effect(catalogue()[name].typical(file.rated)))
+    elif name in sensor_catalogue():
+        file = replace(file, sensors=(sensor_catalogue()[name].typical(file.rated),))
     time = np.arange(100) * 0.01
     channels = {"voltage": np.full(100, 20.0), "current": np.ones(100), "speed": np.ones(100)}
     runs = [prepare(Recording("any", time, channels), file)]

@@ -33,7 +33,7 @@ ROUND = 25
 # A free curve counts if it is this many standard deviations beyond chance, explains this many times what counts as real for
 # a single column, and has one knot that is this many times real by itself: a small curve must be sharp, one that bends
 # everywhere a little must explain much.
-SHARP, PLAIN, AT_LARGE = (8.0, 3.0, 2.3), (16.0, 8.0, 1.0), (16.0, 6.0, 0.5)
+SHARP, PLAIN, AT_LARGE = (8.0, 3.0, 1.8), (16.0, 8.0, 1.0), (16.0, 6.0, 0.5)
 
 
 @dataclass(frozen=True)

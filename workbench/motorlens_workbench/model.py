@@ -203,7 +203,8 @@ def sensitivities_of(
             columns[:, k, j] = -np.gradient(out[:, k], run.inputs.time_s)
         elif key in outside or _is_sensor(model, key):
             value = model.file.values()[key]
-            step = 1e-3 * max(abs(value), abs(model.file.meaning(key).typical(model.file.rated)))
+            # A phase may be 0, typically too; what is known of it beforehand never is.
+            step = 1e-3 * max(abs(value), model.file.meaning(key).sd(model.file.rated))
             nudged = model.with_values({key: value + step})
             if key not in outside:
                 columns[:, :, j] = (shown(nudged, run, r, y) - out) / step
@@ -212,6 +213,7 @@ def sensitivities_of(
             moved = linear.respond(
                 voltage_V=(other.voltage_V - inputs.voltage_V)[:, None] / step,
                 torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
+                held=inputs.held,
             )
             columns[:, :, j : j + 1] = through_sensors(model, run, _stack_states(run, moved))
     return trajectory, out, columns, linear

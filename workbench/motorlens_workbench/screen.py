@@ -82,7 +82,7 @@ class Line:
     run: Run
     r: int
     trajectory: Trajectory
-    respond: Callable[[Array, Array, Array], Array]
+    respond: Callable[..., Array]
 
     @classmethod
     def of(cls, model: Model, run: Run, r: int) -> "Line":
@@ -105,8 +105,8 @@ class Line:
             # Forcings of the shaft angle follow the known one, which does not drift.
             trajectory = replace(trajectory, states={**trajectory.states, "phi": run.shaft["phi"]})
 
-        def respond(voltage: Array, torque: Array, heat: Array) -> Array:
-            states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat)
+        def respond(voltage: Array, torque: Array, heat: Array, *, held: bool = False) -> Array:
+            states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat, held=held)
             stacked = np.stack([states[STATE_OF[channel]] for channel in run.channels], axis=1)
             return run.average(through_sensors(model, run, stacked))
 
@@ -150,6 +150,7 @@ class Line:
             (there.voltage_V - here.voltage_V)[:, None],
             (here.load_torque_Nm - there.load_torque_Nm)[:, None],
             still,
+            held=here.held,
         )[:, :, 0]
 
     def of_curve(self, curve: Addition) -> Array:

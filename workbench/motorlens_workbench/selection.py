@@ -263,7 +263,7 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
 
 
 def cornered(found: Fit) -> bool:
-    """Whether a parameter was driven to a bound far from what was known of it, or an effect to the largest it may be.
+    """Whether a parameter was driven to a bound far from what was known, or an effect or a fault to the largest it may be.
 
     The model follows only with values that no motor has, and what is read from them means little.
     """
@@ -275,11 +275,11 @@ def cornered(found: Fit) -> bool:
     ):
         return True
     file = found.model.file
-    for effect in file.motor.effects:
-        switch = effect.switch()
+    for part in parts_of(file):
+        switch = part.switch()
         if switch is None or switch.null is None:
             continue
-        key = f"{effect.name()}.{switch.name}"
+        key = f"{part.name()}.{switch.name}"
         if key not in prior.keys:
             continue
         size = values[key]

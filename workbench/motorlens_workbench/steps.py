@@ -85,6 +85,11 @@ def threshold(now: Look, test: Test) -> float:
     return max(REAL, 2.0 * decoy_of(now.left, labels))
 
 
+def likely(test: Test, tried: int) -> bool:
+    """Whether a test is rather not chance, of so many tried: if few blocks of time bear it, its scatter is hardly known."""
+    return test.score is not None and test.score.p * tried < 0.5
+
+
 def advance(
     now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str], explained: float = 0.0
 ) -> tuple[Step | None, list[str]]:
@@ -98,7 +103,7 @@ def advance(
         worth = max(WORTH * now.samples, AMONG * explained)
         standing = [t for t in tests.values() if t.statistic > REAL and t.gain > worth]
         standing.sort(key=lambda test: -test.statistic)
-        standing = [test for test in standing[:8] if test.statistic > threshold(now, test)]
+        standing = [t for t in standing[:8] if t.statistic > threshold(now, t) and likely(t, len(now.tests))]
         known = max((test.gain for test in standing), default=worth)
         step = _unmasked(now, tests, max(known, STRONG / MASKED * now.samples), runs, say)
         if step is not None:
@@ -119,6 +124,7 @@ def advance(
             name: tried
             for name, tried in refits.items()
             if total(now.found) - total(tried) > max(0.5 * tests[name].gain, REAL)
+            and likely(tests[name], len(now.tests))
         }
         if good:
             winner = simplest(good, tests, runs)
