@@ -1,5 +1,7 @@
 """The block algebra against plain least squares on the stacked columns, and its tests against their nominal rates."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from motorlens_workbench.evidence import (
     similarity,
     statistics,
 )
+from motorlens_workbench.selection import usual_scatter
 
 
 def evidence_of(columns: np.ndarray, residual: np.ndarray, blocks: int) -> Evidence:
@@ -46,6 +49,36 @@ def test_projection_equals_regression(problem):
     assert similarity(left, ["c3", "c4"])[0, 1] == pytest.approx(
         np.corrcoef(x[:, 1], x[:, 2])[0, 1] ** 2, abs=2e-3
     )
+
+
+@pytest.mark.parametrize(
+    ("size", "noisy", "least", "most"),
+    [
+        (0.0, 1.0, 1.0, 1.6),  # noise
+        (8.0, 1.0, 1.0, 1.6),  # what the best shape explains does not count against it
+        (
+            8.0,
+            4.0,
+            8.0,
+            32.0,
+        ),  # noise that is four times as loud in the blocks that count does, by its square
+    ],
+)
+def test_wrong_shapes_scatter_for_the_right_one_and_for_noise(size, noisy, least, most):
+    """Six shapes that resemble each other, more in one block than in the next, in 20 blocks of 64, hardly there in others."""
+    rng = np.random.default_rng(4)
+    shapes = rng.standard_normal((100, 6)) + rng.standard_normal((100, 1))
+    columns = np.concatenate([shapes * rng.standard_normal((1, 6)) for _ in range(64)])
+    loud = np.repeat(np.arange(64) < 20, 100)
+    columns[~loud] *= 0.1
+    residual = size * columns[:, 0] + np.where(loud, noisy, 1.0) * rng.standard_normal(6400)
+    left = evidence_of(columns, residual, 64)
+    left = Evidence((*(f"it#{v}.0" for v in range(6)), left.names[-1]), left.blocks, left.samples, left.power)
+    candidate = SimpleNamespace(columns=lambda: [[f"it#{v}.0"] for v in range(6)])
+    scores = [score(left, labels) for labels in candidate.columns()]
+    assert least <= usual_scatter(left, candidate, scores) < most
+    if size and noisy == 1.0:
+        assert np.median([tested.inflation for tested in scores]) > 5.0
 
 
 def test_nothing_is_said_where_errors_of_the_inputs_put_in_more_than_there_is(problem):

@@ -97,6 +97,26 @@ def test_what_the_ripple_changes_follows_from_the_shaft_as_followed(turning):
         assert 0.85 < np.std(found) / np.std(expected) < 1.15
 
 
+def test_detents_faster_than_the_samples_leave_no_torque_behind():
+    """The shaft sweeps over the speed at which every sample meets the next detent, against the integration in full."""
+    file = read_motor_file(MOTOR)
+    time = np.arange(10_000) * 0.002
+    fast = np.pi / 0.002 / 24 * file.motor.ke
+    inputs = Inputs(
+        time, fast * (1 + 0.3 * np.sin(2 * np.pi * time / 5)), np.zeros(len(time)), np.full(len(time), 20.0)
+    )
+    detents = shaped(catalogue()["cogging_torque"].typical(file.rated), A=0.5, N=24.0)
+    true = simulate(file.motor.with_effect(detents), inputs)
+    channels = {"voltage": inputs.voltage_V, "speed": true.speed_rad_s, "angle": true.states["phi"]}
+    run = prepare_all([Recording("sweep", time, channels)], file)[0]
+    plain = start_model(file, [run])
+    change = predict(with_effect(plain, detents), run, 0)[1] - predict(plain, run, 0)[1]
+    truth = true.speed_rad_s - simulate(file.motor, inputs).speed_rad_s
+    # Samples that alternate in sign and came and went at once were four times what there truly is.
+    assert np.abs(change[1000:]).max() < 1.2 * np.abs(truth[1000:]).max()
+    assert np.std(change[1000:, 0] - truth[1000:]) < 0.8 * np.std(truth[1000:])
+
+
 @pytest.mark.parametrize("held", [False, True])
 def test_a_phase_of_nought_has_a_derivative(turning, held):
     """What a change of the phase does to what is shown, against the difference of two simulations."""

@@ -154,9 +154,10 @@ def equation_of(effect: type[Effect]) -> str:
     return EQUATIONS["voltage" if defines[0] == "inductance" else defines[0]]
 
 
-# Largest factor by which samples of an effect of the shaft angle are raised: beyond it (near half the sampling rate) lines
-# between the samples cannot stand for it.
-RAISED = 3.0
+# Factors by which samples of an effect of the shaft angle are raised: in full up to the first, no more from the second on,
+# where lines between the samples cannot stand for it (near half the sampling rate). In between it fades: samples that
+# alternate in sign and come and go at once would add up to a torque that is not there.
+RAISED, TOO_FAR = 1.5, 3.0
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,8 @@ def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> For
         factor = between_samples(advance, lag / period_s, held=held)
         at = SimpleNamespace(**{**vars(x), "phi": x.phi + np.angle(factor) / rounds})
         size = np.abs(factor)
-        parts[name] = np.where(size < RAISED, size, 0.0) * getattr(effect, name)(motor, at, u)
+        kept = np.clip((TOO_FAR - size) / (TOO_FAR - RAISED), 0.0, 1.0)
+        parts[name] = kept * size * getattr(effect, name)(motor, at, u)
     return Forcing(**parts, heat=_array(effect.heat(motor, x, u), len(advance)))
 
 

@@ -106,6 +106,11 @@ class Evidence:
         left = self.blocks[:, rest[:, None], rest] + half + half.transpose(0, 2, 1)
         return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest])
 
+    def of_columns(self, names: Sequence[str]) -> "Evidence":
+        """Of some columns alone, with the residual."""
+        at = np.append(self.index(names), len(self.names) - 1)
+        return Evidence((*names, RESIDUAL), self.blocks[:, at[:, None], at], self.samples, self.power[at])
+
     @cached_property
     def total(self) -> Array:
         """(M, M) sums over all blocks."""

@@ -93,9 +93,9 @@ def test_all(left: Evidence, listed: Sequence[Candidate], model: Model) -> dict[
         typical = candidate.typical(model.file)
         scores = [score(left, labels) for labels in candidate.columns()]
         # The best of many shapes must not be the one whose scatter happens to be least.
-        usual = float(np.median([tested.inflation for tested in scores if tested] or [1.0]))
+        usual = usual_scatter(left, candidate, scores) if len(scores) >= MANY else 1.0
         for v, tested in enumerate(scores):
-            if tested and len(scores) >= MANY and tested.inflation < usual:
+            if tested and tested.inflation < usual:
                 tested = tested.inflated(usual)
             test = _sized(candidate, v, tested, typical)
             if best is None or (test.statistic, _information(test)) > (best.statistic, _information(best)):
@@ -103,6 +103,18 @@ def test_all(left: Evidence, listed: Sequence[Candidate], model: Model) -> dict[
         assert best is not None
         found[candidate.name] = best
     return found
+
+
+def usual_scatter(left: Evidence, candidate: Candidate, scores: Sequence[Score | None]) -> float:
+    """Median inflation of a candidate's shapes in what the best of them leaves: for its sake the wrong ones scatter."""
+    known = {v: tested for v, tested in enumerate(scores) if tested}
+    if not known:
+        return 1.0
+    shapes = candidate.columns()
+    best = max(known, key=lambda v: known[v].statistic)
+    beyond = left.of_columns([label for labels in shapes for label in labels]).given(shapes[best])
+    others = [score(beyond, shapes[v]) for v in known if v != best]
+    return float(np.median([tested.inflation for tested in (known[best], *others) if tested]))
 
 
 def _information(test: Test) -> float:
