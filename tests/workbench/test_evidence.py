@@ -65,7 +65,7 @@ def test_projection_equals_regression(problem):
     ],
 )
 def test_wrong_shapes_scatter_for_the_right_one_and_for_noise(size, noisy, least, most):
-    """Six shapes that resemble each other, more in one block than in the next, in 20 blocks of 64, hardly there in others."""
+    """Six shapes that resemble each other, more in one block than the next, in 20 blocks of 64, hardly there in others."""
     rng = np.random.default_rng(4)
     shapes = rng.standard_normal((100, 6)) + rng.standard_normal((100, 1))
     columns = np.concatenate([shapes * rng.standard_normal((1, 6)) for _ in range(64)])
