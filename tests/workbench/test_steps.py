@@ -62,8 +62,8 @@ def test_who_is_refitted_beside_the_best(statistic, gain, alike, rival, monkeypa
     [
         ([], [70.0], [], False, None),  # a curve without a name must explain eight thousandths
         ([], [90.0], [], False, 90.0),
-        ([1000.0], [70.0], [900.0], False, None),
-        ([1000.0], [90.0], [900.0], False, 90.0),
+        ([1000.0], [115.0], [900.0], False, None),
+        ([1000.0], [135.0], [900.0], False, 135.0),
         ([600.0, 300.0, 100.0], [60.0], [1200.0], False, 60.0),  # after three names less is enough
         ([600.0, 400.0], [60.0], [1200.0], False, None),
         ([600.0, 400.0], [60.0], [1300.0], False, 1300.0),  # one curve instead of two names
@@ -83,6 +83,17 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
     )
     bend = verdict.structure(found)
     assert (bend.gain if bend else None) == against
+
+
+@pytest.mark.parametrize(
+    ("gain", "best", "against"), [(25.0, 110.0, True), (15.0, 110.0, False), (25.0, 100.0, False)]
+)
+def test_a_curve_that_is_beyond_doubt_stands_against_a_name_from_a_smaller_share(gain, best, against):
+    found = SimpleNamespace(
+        steps=[SimpleNamespace(gain=1000.0)], left=[SimpleNamespace(gain=gain, best=best)], whole=[],
+        last=SimpleNamespace(samples=10_000.0), runs=[],
+    )  # fmt: skip
+    assert (verdict.structure(found) is not None) == against
 
 
 @pytest.mark.parametrize(

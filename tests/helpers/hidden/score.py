@@ -189,7 +189,7 @@ def calibration(rows: Sequence[Row], bins: int = 10) -> tuple[float, int]:
 
 
 def error_after(rows: Sequence[Row]) -> list[float]:
-    """Held-out RMSE after adding over the true model's own, in the channel that gained the most."""
+    """Held-out RMSE after adding over the noise floor that the answer states, in the channel that gained the most."""
     ratios = []
     for truth, answer, _ in rows:
         error = (answer or {}).get("error") or {}
