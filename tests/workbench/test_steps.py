@@ -57,6 +57,10 @@ def test_who_is_refitted_beside_the_best(statistic, gain, alike, rival, monkeypa
     assert found == ([best, other] if rival else [best])
 
 
+def bend_of(gain: float, best: float = 20.0, against: str = "speed") -> SimpleNamespace:
+    return SimpleNamespace(gain=gain, best=best, curve=SimpleNamespace(against=against))
+
+
 @pytest.mark.parametrize(
     ("steps", "left", "whole", "far", "against"),
     [
@@ -75,8 +79,8 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
     monkeypatch.setattr(verdict, "cornered", lambda fitted: False)
     found = SimpleNamespace(
         steps=[SimpleNamespace(gain=gain) for gain in steps],
-        left=[SimpleNamespace(gain=gain, best=20.0) for gain in left],
-        whole=[SimpleNamespace(gain=gain, best=20.0) for gain in whole],
+        left=[bend_of(gain) for gain in left],
+        whole=[bend_of(gain) for gain in whole],
         first=None,
         last=SimpleNamespace(samples=10_000.0, found=None),
         runs=(),
@@ -86,11 +90,19 @@ def test_a_curve_stands_against_the_names(steps, left, whole, far, against, monk
 
 
 @pytest.mark.parametrize(
-    ("gain", "best", "against"), [(25.0, 110.0, True), (15.0, 110.0, False), (25.0, 100.0, False)]
+    ("variable", "gain", "best", "against"),
+    [
+        ("travel", 25.0, 110.0, True),
+        ("travel", 15.0, 110.0, False),
+        ("travel", 25.0, 100.0, False),
+        ("time", 25.0, 110.0, False),
+    ],
 )
-def test_a_curve_that_is_beyond_doubt_stands_against_a_name_from_a_smaller_share(gain, best, against):
+def test_friction_that_goes_with_the_travel_stands_against_a_name_from_a_smaller_share(
+    variable, gain, best, against
+):
     found = SimpleNamespace(
-        steps=[SimpleNamespace(gain=1000.0)], left=[SimpleNamespace(gain=gain, best=best)], whole=[],
+        steps=[SimpleNamespace(gain=1000.0)], left=[bend_of(gain, best, variable)], whole=[],
         last=SimpleNamespace(samples=10_000.0), runs=[],
     )  # fmt: skip
     assert (verdict.structure(found) is not None) == against
@@ -101,7 +113,7 @@ def test_a_curve_that_is_beyond_doubt_stands_against_a_name_from_a_smaller_share
 )
 def test_a_curve_must_stand_out_of_a_coarse_converter(coarse, gain, named):
     found = SimpleNamespace(
-        steps=[], left=[SimpleNamespace(gain=gain, best=20.0)], whole=[], last=SimpleNamespace(samples=10_000.0),
+        steps=[], left=[bend_of(gain)], whole=[], last=SimpleNamespace(samples=10_000.0),
         runs=[SimpleNamespace(coarse=False), SimpleNamespace(coarse=coarse)],
     )  # fmt: skip
     assert (verdict.structure(found) is not None) == named
@@ -113,7 +125,7 @@ def test_a_curve_must_stand_out_of_a_coarse_converter(coarse, gain, named):
 )
 def test_a_sharp_curve_without_a_name_may_explain_less(gain, best, seen):
     found = SimpleNamespace(
-        steps=[], left=[SimpleNamespace(gain=gain, best=best)], whole=[], last=SimpleNamespace(samples=10_000.0),
+        steps=[], left=[bend_of(gain, best)], whole=[], last=SimpleNamespace(samples=10_000.0),
         runs=[],
     )  # fmt: skip
     assert (verdict.structure(found) is not None) == seen

@@ -95,8 +95,10 @@ def investigate(
     step = uneven(current, failed, runs, say) if left and len(steps) < MOST else None
     if step is not None:
         steps, current, failed, left, whole = onward([*steps, step])
-    # Where the textbook alone could not follow, the search may have begun in the wrong place.
-    step = in_full(first, steps, whole[0].curve.equation, runs, say) if whole and cornered(base) else None
+    # Where the textbook alone could not follow, the search may have begun in the wrong place; where nothing was named though
+    # something is left, the effect may be too far from linear to be seen from there.
+    astray = bool(whole) and (cornered(base) or not steps)
+    step = in_full(first, steps, whole[0], runs, say) if astray else None
     if step is not None:
         steps, current, failed, left, whole = onward([step])
     return Finding(runs, base, first, tuple(steps), current, tuple(failed), tuple(whole), tuple(left), dead)

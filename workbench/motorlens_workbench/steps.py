@@ -9,6 +9,7 @@ import numpy as np
 from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.evidence import own_score
 from motorlens_workbench.fitting import Fit, plain_noise
+from motorlens_workbench.leftover import Bend
 from motorlens_workbench.look import Look, decoy_of
 from motorlens_workbench.run import Run
 from motorlens_workbench.screen import all_columns, errors_by_block, evidence_of, held_out_rmse, with_priors
@@ -17,6 +18,7 @@ from motorlens_workbench.selection import (
     WORTH,
     Progress,
     Test,
+    cornered,
     likeness,
     pair,
     refit,
@@ -34,6 +36,8 @@ NEAR, MENDS = 0.9, 0.1
 # How many times what stands out, and what share of the squared error, a candidate must explain to be looked at though it is
 # uneven, and how many are.
 MASKED, STRONG, MOST_MASKED = 4.0, 0.02, 4
+# Share of what a free curve would explain that an effect must explain to be taken for it.
+MOSTLY = 0.7
 # 2 log likelihood by which a more involved effect must be better than a simpler one.
 AS_GOOD = 6.0
 # Standard deviations by which it must be better if its errors scatter.
@@ -143,15 +147,23 @@ def _simple(now: Look, avoid: Sequence[str]) -> dict[str, Test]:
     return {name: test for name, test in now.tests.items() if name not in avoid and not test.involved}
 
 
-def in_full(
-    now: Look, than: Sequence[Step], equation: str, runs: Sequence[Run], say: Progress
-) -> Step | None:
+def in_full(now: Look, than: Sequence[Step], left: Bend, runs: Sequence[Run], say: Progress) -> Step | None:
     """Of all effects of an equation, each fitted in full, the best that does better than all steps taken; None if none does.
 
-    Where the model without any of them ended in a corner, the screen from there sees little of what is missing: that no
-    effect of the catalogue explains it takes a fit with each to say. Better is what leaves less on blocks of time held out,
-    and is real as seen from the model that has it.
+    Where the model without any of them ended in a corner, or an effect is far from linear, the screen from there sees little
+    of what is missing: that no effect of the catalogue explains it takes a fit with each to say. Better is what leaves less
+    on blocks of time held out, is real as seen from the model that has it, and explains most of what the curve would.
+
+    Args:
+        now: the screen without any of them.
+        than: the steps taken.
+        left: the free curve that shows what is missing.
+        runs: prepared recordings.
+        say: told what is done.
     """
+    equation = left.curve.equation
+    # From a corner, a curve explains what no effect has to.
+    enough = WORTH * now.samples if cornered(now.found) else max(MOSTLY * left.gain, WORTH * now.samples)
     tests = {
         name: test
         for name, test in now.tests.items()
@@ -169,7 +181,7 @@ def in_full(
         # From a corner, neither its size nor what it resembles means much; the fit says.
         refits[name], seen[name] = tried, replace(test, allowed=True)
         gain, error = total(now.found) - total(tried), left_out(tried, runs)
-        if error < least and gain / even > threshold(now, test) and gain > WORTH * now.samples:
+        if error < least and gain / even > threshold(now, test) and gain > enough:
             assert test.score is not None
             winner, least = replace(test, score=test.score.inflated(even), allowed=True), error
     if winner is None:

@@ -21,9 +21,10 @@ IMPERFECT = 0.004
 # Two columns as alike as this are one.
 SAME = 0.9995
 GROUP = 6
-# A free curve this much better than what was named says that the name is wrong: share of the accepted gain; less is enough of
-# one that has a knot this many times real by itself.
-BETTER, BETTER_SHARP, BEYOND_DOUBT = 0.125, 0.02, 4.0
+# A free curve this much better than what was named says that the name is wrong: share of the accepted gain; less is enough
+# of one against the travel since the last reversal, which sampling and smoothing do not feign, with a knot this many times
+# real by itself.
+BETTER, BETTER_BY_TRAVEL, BEYOND_DOUBT = 0.125, 0.02, 4.0
 # Share of the whitened sum of squares that a curve must explain where nothing was named: without a name, more is asked, less
 # of one that has a knot this many times real by itself.
 UNNAMED, UNNAMED_SHARP, SHARP_KNOT = 8e-3, 2.5e-3, 1.8
@@ -130,7 +131,8 @@ def structure(found: Finding) -> Bend | None:
     for bend in found.left:
         unnamed = UNNAMED_SHARP if bend.best > SHARP_KNOT * REAL else UNNAMED
         worth = coarse * (WORTH if found.steps else unnamed) * found.last.samples
-        least = BETTER_SHARP if bend.best > BEYOND_DOUBT * REAL else share
+        by_travel = bend.curve.against == "travel" and bend.best > BEYOND_DOUBT * REAL
+        least = BETTER_BY_TRAVEL if by_travel else share
         if bend.gain > max(worth, least * gain):
             return bend
     return None
