@@ -140,6 +140,21 @@ def test_what_hardly_a_block_of_time_bears_is_rather_chance(blocks, rather):
     assert likely(typical, 40) == rather
 
 
+@pytest.mark.parametrize(("share", "said"), [(1.0, False), (0.7, False), (0.5, True), (1.5, True)])
+def test_a_parameter_fitted_far_from_the_motor_file_is_pointed_out(share, said):
+    """R_a0 known to a tenth: 3 and 5 standard deviations."""
+    file = read_motor_file(MOTOR)
+    prior = Prior({"R_a0": file.motor.R_a0}, {"R_a0": 0.1 * file.motor.R_a0}, {"R_a0": (0.0, 100.0)})
+    model = SimpleNamespace(file=file, values=lambda: {"R_a0": share * file.motor.R_a0})
+    sentences = verdict.far_off(SimpleNamespace(model=model, prior=prior))
+    assert len(sentences) == said
+    if said:
+        assert (
+            sentences[0].startswith("R_a0 is fitted 5.0 standard deviations from the motor file")
+            and "ohm" in sentences[0]
+        )
+
+
 @pytest.mark.parametrize("housing_K", [12.0, 38.0])
 def test_how_warm_the_housing_was_is_found(housing_K):
     """A motor switched on warm, after a short run (its housing is cold) or a long one."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from motorlens_workbench.diagnosis import MOST, Finding
 from motorlens_workbench.evidence import own_score
+from motorlens_workbench.fitting import RELATIVE_SD, Fit
 from motorlens_workbench.leftover import Bend
 from motorlens_workbench.look import Look, unsettled
 from motorlens_workbench.selection import REAL, WORTH, Test, cornered
@@ -34,6 +35,8 @@ COARSE = 2.0
 # How many times as wide as scatter between blocks says the interval of a fitted size is: beside it stands what the model
 # leaves out (another rounding of the same effect, errors of the noise model). Measured on the benchmark's development cases.
 LEFT_OUT = 1.4
+# Standard deviations from the motor file from which on a fitted parameter of the textbook is pointed out.
+FAR_FROM_FILE = 4.0
 # What BETTER is where as many effects as may be were named already, and what a single curve may explain from the start, over
 # all that was named.
 AFTER_ALL, INSTEAD = 0.05, 1.25
@@ -191,6 +194,24 @@ def limits(found: Finding) -> list[str]:
         said.append(
             f"The screen points at {name}, but the model fitted with it does not follow: it stands for something else."
         )
+    return [*said, *far_off(found.last.found)]
+
+
+def far_off(found: Fit) -> list[str]:
+    """Parameters of the textbook that were fitted far from the motor file, a sentence each."""
+    values, prior, file = found.model.values(), found.prior, found.model.file
+    said = []
+    for key in RELATIVE_SD:
+        if key not in prior.keys:
+            continue
+        known, unit = prior.centre[key], file.meaning(key).unit
+        deviations = (values[key] - known) / prior.sd[key]
+        if abs(deviations) > FAR_FROM_FILE:
+            said.append(
+                f"{key} is fitted {abs(deviations):.1f} standard deviations from the motor file, {values[key]:.4g} {unit} "
+                f"for {known:.4g}: the file is off, or this makes up for a sensor's error, for noise of an input, or for "
+                "what is missing."
+            )
     return said
 
 
