@@ -65,20 +65,31 @@ def test_projection_equals_regression(problem):
     ],
 )
 def test_wrong_shapes_scatter_for_the_right_one_and_for_noise(size, noisy, least, most):
-    """Six shapes that resemble each other, more in one block than the next, in 20 blocks of 64, hardly there in others."""
+    """Six shapes of two columns that resemble each other, in 20 blocks of 64, hardly there in others."""
     rng = np.random.default_rng(4)
-    shapes = rng.standard_normal((100, 6)) + rng.standard_normal((100, 1))
-    columns = np.concatenate([shapes * rng.standard_normal((1, 6)) for _ in range(64)])
+    shapes = rng.standard_normal((100, 12)) + rng.standard_normal((100, 1))
+    columns = np.concatenate([shapes * rng.standard_normal((1, 12)) for _ in range(64)])
     loud = np.repeat(np.arange(64) < 20, 100)
     columns[~loud] *= 0.1
     residual = size * columns[:, 0] + np.where(loud, noisy, 1.0) * rng.standard_normal(6400)
     left = evidence_of(columns, residual, 64)
-    left = Evidence((*(f"it#{v}.0" for v in range(6)), left.names[-1]), left.blocks, left.samples, left.power)
-    candidate = SimpleNamespace(columns=lambda: [[f"it#{v}.0"] for v in range(6)])
-    scores = [score(left, labels) for labels in candidate.columns()]
+    labels = [[f"it#{v}.0", f"it#{v}.1"] for v in range(6)]
+    left = Evidence(
+        (*(label for pair in labels for label in pair), left.names[-1]), left.blocks, left.samples, left.power
+    )
+    candidate = SimpleNamespace(columns=lambda: labels)
+    scores = [score(left, pair) for pair in labels]
     assert least <= usual_scatter(left, candidate, scores) < most
     if size and noisy == 1.0:
         assert np.median([tested.inflation for tested in scores]) > 5.0
+
+
+def test_neighbours_on_a_grid_scatter_alike():
+    scores = [
+        SimpleNamespace(statistic=10.0 / k, inflation=k, coefficient=np.ones(1)) for k in (1.0, 4.0, 9.0)
+    ]
+    candidate = SimpleNamespace(columns=lambda: [["it#0.0"], ["it#1.0"], ["it#2.0"]])
+    assert usual_scatter(None, candidate, scores) == 4.0
 
 
 def test_nothing_is_said_where_errors_of_the_inputs_put_in_more_than_there_is(problem):

@@ -111,6 +111,12 @@ class Evidence:
         at = np.append(self.index(names), len(self.names) - 1)
         return Evidence((*names, RESIDUAL), self.blocks[:, at[:, None], at], self.samples, self.power[at])
 
+    def explained_by(self, names: Sequence[str], coefficient: Array) -> "Evidence":
+        """With a residual from which some columns, times their coefficients (k,), were taken; the columns stay."""
+        change = np.eye(len(self.names))
+        change[self.index(names), -1] = -coefficient
+        return replace(self, blocks=change.T @ self.blocks @ change)
+
     @cached_property
     def total(self) -> Array:
         """(M, M) sums over all blocks."""

@@ -109,15 +109,21 @@ def test_all(left: Evidence, listed: Sequence[Candidate], model: Model) -> dict[
 
 
 def usual_scatter(left: Evidence, candidate: Candidate, scores: Sequence[Score | None]) -> float:
-    """Median inflation of a candidate's shapes in what the best of them leaves: for its sake the wrong ones scatter."""
+    """Median inflation of a candidate's shapes.
+
+    Other numbers of periods a revolution exclude each other: wrong ones scatter for the right one's sake, and count in what
+    the best leaves. Neighbours on a grid of shapes scatter alike.
+    """
     known = {v: tested for v, tested in enumerate(scores) if tested}
     if not known:
         return 1.0
-    shapes = candidate.columns()
     best = max(known, key=lambda v: known[v].statistic)
-    beyond = left.of_columns([label for labels in shapes for label in labels]).given(shapes[best])
-    others = [score(beyond, shapes[v]) for v in known if v != best]
-    return float(np.median([tested.inflation for tested in (known[best], *others) if tested]))
+    shapes = candidate.columns()
+    if len(shapes[best]) > 1:
+        own = left.of_columns([label for labels in shapes for label in labels])
+        beyond = own.explained_by(shapes[best], known[best].coefficient)
+        known = {v: tested for v in known if (tested := score(beyond, shapes[v]))}
+    return float(np.median([tested.inflation for tested in known.values()] or [1.0]))
 
 
 def _information(test: Test) -> float:
