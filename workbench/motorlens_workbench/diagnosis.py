@@ -18,7 +18,7 @@ from motorlens_runtime.errors import ModelError
 from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
 from motorlens_workbench.fitting import MEASURED, Fit, base_prior, fit, start_model
 from motorlens_workbench.leftover import Bend, leftover
-from motorlens_workbench.look import Look, look, unsettled
+from motorlens_workbench.look import Look, look, swamped, unsettled
 from motorlens_workbench.model import predict
 from motorlens_workbench.pruning import dispensable, seen_from, simpler
 from motorlens_workbench.run import Run, prepare_all
@@ -82,6 +82,8 @@ def investigate(
     runs = used
     say("screening all effects and sensor faults")
     first = look(base, runs, own)
+    if swamped(first) is not None:
+        return Finding(runs, base, first, (), first, (), dead=dead)
 
     def onward(steps: list[Step]) -> tuple[list[Step], Look, list[str], list[Bend], list[Bend]]:
         now = first

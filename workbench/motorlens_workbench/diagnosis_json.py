@@ -160,7 +160,7 @@ def sentence(found: Finding, verdict: Verdict) -> str:
             f"{_shape(verdict.shape.curve)}."
         )
     if verdict.kind == "not_testable":
-        return "These recordings cannot show whether anything is missing: no effect of plausible size would have been seen."
+        return "These recordings cannot show whether anything is missing; why is among what they cannot tell."
     return "Nothing is missing above the sizes listed: larger effects would have been seen."
 
 

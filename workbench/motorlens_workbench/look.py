@@ -23,13 +23,16 @@ from motorlens_workbench.screen import (
     unexplained,
     with_priors,
 )
-from motorlens_workbench.selection import Test, test_all
+from motorlens_workbench.selection import WELL_KNOWN, Test, test_all
 from motorlens_workbench.turning import seen_turning
 
 Array = NDArray[np.float64]
 
 # Times the noise floor from which on a channel is not explained.
 FAR = 2.0
+# Standard deviations of what is known by which errors of the inputs may move a parameter and still be told from what is
+# missing.
+SWAMPED = 1.5
 # Share of the squared error of a channel, beyond its noise, that is much of it.
 MUCH = 0.15
 
@@ -87,6 +90,23 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
     recorded = with_priors(recorded, found)
     return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns)
+
+
+def swamped(now: Look) -> tuple[str, float] | None:
+    """The well-known parameter that errors of the inputs alone move most, in standard deviations of what is known of it.
+
+    None if that is little. Near standstill the noise of a voltage may drive as much current as its signal: the resistance
+    that then fits best is far too large, and an estimate of the error, made from there, falls short.
+    """
+    keys = now.found.prior.keys
+    (cleared, _), (recorded, _) = now.evidence.solve(keys), now.recorded.solve(keys)
+    moved = {
+        key: abs(float(cleared[keys.index(key)] - recorded[keys.index(key)]))
+        for key in WELL_KNOWN
+        if key in keys
+    }
+    most = max(moved, key=lambda key: moved[key], default=None)
+    return (most, moved[most]) if most is not None and moved[most] > SWAMPED else None
 
 
 def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:

@@ -13,7 +13,7 @@ from motorlens_workbench.diagnosis import MOST, Finding
 from motorlens_workbench.evidence import own_score
 from motorlens_workbench.fitting import RELATIVE_SD, Fit
 from motorlens_workbench.leftover import Bend
-from motorlens_workbench.look import Look, unsettled
+from motorlens_workbench.look import Look, swamped, unsettled
 from motorlens_workbench.selection import REAL, WORTH, Test, cornered
 from motorlens_workbench.steps import TOLD_APART, Step
 
@@ -93,6 +93,12 @@ def _of_the_living(found: Finding) -> Verdict:
     bend = structure(found)
     probability = probabilities(found, unknown=bend is not None)
     untold = tuple(limits(found))
+    if (drowned := swamped(found.first)) is not None:
+        said = (
+            f"Noise of the measured inputs alone moves {drowned[0]} by {drowned[1]:.1f} standard deviations of what is "
+            "known of it: what may be missing cannot be told. Drive the motor harder, or measure its inputs with less noise."
+        )
+        return Verdict("not_testable", (), (), None, dict.fromkeys(probability, 0.0), None, (said, *untold))
     if bend is not None:
         shape = found.whole[0] if found.whole else bend
         return Verdict("unknown", (), (), shape.curve.equation, probability, shape, untold)
