@@ -188,9 +188,6 @@ def test_how_warm_the_housing_was_is_found(housing_K):
     [
         ("R_a0", 3.6, False),
         ("R_a0", "low", True),  # a twentieth of the motor file's
-        ("ke", 5.5, False),
-        ("ke", 6.5, True),  # standard deviations, and no bound
-        ("L", 6.5, False),  # noise of the voltage moves it
         ("magnet_temperature.beta", 0.002, False),
         ("magnet_temperature.beta", "high", True),  # five times what the strongest magnets lose
         ("iron_loss_torque.s", "high", False),  # the whole of a share is a natural limit
@@ -210,6 +207,5 @@ def test_values_that_no_motor_has_are_a_corner(key, value, corner):
     runs = [prepare(Recording("any", time, channels), file)]
     prior = base_prior(file, runs)
     bound = dict(zip(("low", "high"), prior.bounds[key], strict=True))
-    off = prior.centre[key] + value * prior.sd[key] if key in ("ke", "L") else value
-    model = start_model(file, runs).with_values({key: bound.get(value, off)})
+    model = start_model(file, runs).with_values({key: bound.get(value, value)})
     assert selection.cornered(SimpleNamespace(model=model, prior=prior)) == corner

@@ -23,7 +23,7 @@ from motorlens_workbench.screen import (
     unexplained,
     with_priors,
 )
-from motorlens_workbench.selection import WELL_KNOWN, Test, test_all
+from motorlens_workbench.selection import Test, test_all
 from motorlens_workbench.turning import seen_turning
 
 Array = NDArray[np.float64]
@@ -33,6 +33,8 @@ FAR = 2.0
 # Standard deviations of what is known by which errors of the inputs may move a parameter and still be told from what is
 # missing.
 SWAMPED = 1.5
+# Of which parameters: those that a drive's noise moves little where the motor is driven.
+WELL_KNOWN = ("R_a0", "ke", "J")
 # Share of the squared error of a channel, beyond its noise, that is much of it.
 MUCH = 0.15
 

@@ -33,9 +33,6 @@ WORTH = 1e-3
 MANY = 5
 # Standard deviations from which on a bound is far from what was known: a rough guess of the friction is not, one of ke is.
 FAR_OFF = 1.5
-# Standard deviations from what was known that no motor of its make is off, without a bound, and of which parameters: those
-# that noise of the inputs does not move.
-BEYOND_ITS_MAKE, WELL_KNOWN = 6.0, ("R_a0", "ke", "J")
 # Times the typical size from which on the largest that an effect may have is no natural limit, as the whole of a share is.
 FAR_LARGER = 3.0
 # What claims more than this (see `Candidate.claims`) can pass for much that it is not: it is tried only where a textbook
@@ -284,18 +281,16 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
 
 
 def cornered(found: Fit) -> bool:
-    """Whether a parameter was driven far from what was known, to its bound or beyond, or an effect or a fault to the largest
-    it may be.
+    """Whether a parameter was driven to a bound far from what was known, or an effect or a fault to the largest it may be.
 
     The model follows only with values that no motor has, and what is read from them means little.
     """
     values, prior = found.model.values(), found.prior
-    off = {
-        key: abs(values[key] - prior.centre[key]) / prior.sd[key] for key in prior.keys if key in RELATIVE_SD
-    }
-    if any(off[key] > FAR_OFF and values[key] in prior.bounds[key] for key in off):
-        return True
-    if any(off.get(key, 0.0) > BEYOND_ITS_MAKE for key in WELL_KNOWN):
+    if any(
+        values[key] in bounds and abs(values[key] - prior.centre[key]) > FAR_OFF * prior.sd[key]
+        for key, bounds in prior.bounds.items()
+        if key in RELATIVE_SD
+    ):
         return True
     file = found.model.file
     for part in parts_of(file):

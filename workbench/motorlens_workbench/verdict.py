@@ -105,11 +105,6 @@ def _of_the_living(found: Finding) -> Verdict:
     if not chosen:
         blind = not any(_detectable(found.last, test) for test in found.last.tests.values())
         return Verdict("not_testable" if blind else "adequate", (), (), None, probability, None, untold)
-    if cornered(found.last.found):
-        said = "What was recorded follows only from values that no motor has: what may be missing cannot be told."
-        return Verdict(
-            "not_testable", (), (), None, probabilities(found, unknown=True), None, (said, *untold)
-        )
     first = found.steps[0].test.candidate
     if any(len(group) > 1 for group in groups):
         kind = "group"
