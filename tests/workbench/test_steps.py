@@ -140,6 +140,25 @@ def test_what_hardly_a_block_of_time_bears_is_rather_chance(blocks, rather):
     assert likely(typical, 40) == rather
 
 
+def test_what_was_accepted_beside_an_effect_is_none_of_its_group():
+    losses = {
+        "current_sensor_lag": 0.0,
+        "unbalance_torque": 3.0,
+        "inductance_saturation": 5.0,
+        "radiation": 500.0,
+    }
+    step = SimpleNamespace(
+        test=SimpleNamespace(
+            candidate=SimpleNamespace(name="current_sensor_lag"), score=SimpleNamespace(inflation=1.0)
+        ),
+        losses=losses, alike={}, gain=100.0,
+    )  # fmt: skip
+    alone = verdict.group_of(step, ("current_sensor_lag",))
+    beside = verdict.group_of(step, ("current_sensor_lag", "unbalance_torque"))
+    assert alone == ("current_sensor_lag", "unbalance_torque", "inductance_saturation")
+    assert beside == ("current_sensor_lag", "inductance_saturation")
+
+
 @pytest.mark.parametrize(("share", "said"), [(1.0, False), (0.7, False), (0.5, True), (1.5, True)])
 def test_a_parameter_fitted_far_from_the_motor_file_is_pointed_out(share, said):
     """R_a0 known to a tenth: 3 and 5 standard deviations."""

@@ -4,7 +4,7 @@ An effect is named only if nothing else explains the same as well (else a group)
 would explain much better (else it is unknown, and the shape of what is missing is shown).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,8 +88,8 @@ def _with_the_dead(verdict: Verdict, found: Finding) -> Verdict:
 
 
 def _of_the_living(found: Finding) -> Verdict:
-    groups = tuple(group_of(step) for step in found.steps)
     chosen = tuple(step.test.candidate.name for step in found.steps)
+    groups = tuple(group_of(step, chosen) for step in found.steps)
     bend = structure(found)
     probability = probabilities(found, unknown=bend is not None)
     untold = tuple(limits(found))
@@ -115,15 +115,18 @@ def _of_the_living(found: Finding) -> Verdict:
     return Verdict(kind, chosen, groups, first.equation, probability, None, untold)
 
 
-def group_of(step: Step) -> tuple[str, ...]:
-    """What the recordings cannot tell from an accepted effect, itself first, the likelier before the less likely."""
+def group_of(step: Step, chosen: Sequence[str]) -> tuple[str, ...]:
+    """What the recordings cannot tell from an accepted effect, itself first, the likelier before the less likely.
+
+    What was accepted beside it stands for itself.
+    """
     winner = step.test.candidate.name
     assert step.test.score is not None
     limit = TOLD_APART + IMPERFECT * step.gain / step.test.score.inflation
     near = {
         name: loss
         for name, loss in step.losses.items()
-        if name != winner and (loss < limit or step.alike.get(name, 0.0) > SAME)
+        if name not in chosen and (loss < limit or step.alike.get(name, 0.0) > SAME)
     }
     return (winner, *sorted(near, key=lambda name: near[name]))[:GROUP]
 
