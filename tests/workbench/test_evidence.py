@@ -12,6 +12,7 @@ from motorlens_workbench.evidence import (
     similarity,
     statistics,
 )
+from motorlens_workbench.fitting import Prior
 from motorlens_workbench.look import swamped
 from motorlens_workbench.selection import usual_scatter
 
@@ -57,12 +58,7 @@ def test_projection_equals_regression(problem):
     [
         (0.0, 1.0, 1.0, 1.6),  # noise
         (8.0, 1.0, 1.0, 1.6),  # what the best shape explains does not count against it
-        (
-            8.0,
-            4.0,
-            8.0,
-            32.0,
-        ),  # noise that is four times as loud in the blocks that count does, by its square
+        (8.0, 4.0, 8.0, 32.0),  # noise four times as loud in the blocks that count does, squared
     ],
 )
 def test_wrong_shapes_scatter_for_the_right_one_and_for_noise(size, noisy, least, most):
@@ -93,7 +89,7 @@ def test_neighbours_on_a_grid_scatter_alike():
     assert usual_scatter(None, candidate, scores) == 4.0
 
 
-@pytest.mark.parametrize(("moved", "found"), [(1.0, None), (-2.0, ("R_a0", 2.0))])
+@pytest.mark.parametrize(("moved", "found"), [(1.0, None), (-2.0, ("R_a0", 0.2))])
 def test_a_resistance_that_noise_of_the_inputs_moves_is_pointed_out(moved, found):
     """Evidence of R_a0 and L with the coefficients 0 and 0 as recorded, `moved` and 5 once cleared; only R_a0 counts."""
 
@@ -104,7 +100,9 @@ def test_a_resistance_that_noise_of_the_inputs_moves_is_pointed_out(moved, found
         )
         return Evidence.of(["R_a0", "L"], total[None], np.array([100.0]))
 
-    fitted = SimpleNamespace(prior=SimpleNamespace(keys=("R_a0", "L")))
+    # R_a0 is known to a tenth, in which its coefficient is counted.
+    prior = Prior({"R_a0": 3.0, "L": 0.1}, {"R_a0": 0.3, "L": 0.01}, {})
+    fitted = SimpleNamespace(prior=prior)
     now = SimpleNamespace(found=fitted, evidence=of(np.array([moved, 5.0])), recorded=of(np.zeros(2)))
     assert swamped(now) == (found and (found[0], pytest.approx(found[1])))
 

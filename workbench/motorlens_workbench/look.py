@@ -30,9 +30,8 @@ Array = NDArray[np.float64]
 
 # Times the noise floor from which on a channel is not explained.
 FAR = 2.0
-# Standard deviations of what is known by which errors of the inputs may move a parameter and still be told from what is
-# missing.
-SWAMPED = 1.5
+# Share of a parameter by which errors of the inputs may move it and still be told from what is missing.
+SWAMPED = 0.17
 # Of which parameters: those that a drive's noise moves little where the motor is driven.
 WELL_KNOWN = ("R_a0", "ke", "J")
 # Share of the squared error of a channel, beyond its noise, that is much of it.
@@ -95,17 +94,18 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
 
 
 def swamped(now: Look) -> tuple[str, float] | None:
-    """The well-known parameter that errors of the inputs alone move most, in standard deviations of what is known of it.
+    """The well-known parameter that errors of the inputs alone move most, as a share of the motor file's value.
 
     None if that is little. Near standstill the noise of a voltage may drive as much current as its signal: the resistance
     that then fits best is far too large, and an estimate of the error, made from there, falls short.
     """
-    keys = now.found.prior.keys
-    (cleared, _), (recorded, _) = now.evidence.solve(keys), now.recorded.solve(keys)
+    prior = now.found.prior
+    (cleared, _), (recorded, _) = now.evidence.solve(prior.keys), now.recorded.solve(prior.keys)
+    off = dict(zip(prior.keys, np.abs(cleared - recorded).tolist(), strict=True))
     moved = {
-        key: abs(float(cleared[keys.index(key)] - recorded[keys.index(key)]))
+        key: off[key] * prior.sd[key] / abs(prior.centre[key])
         for key in WELL_KNOWN
-        if key in keys
+        if key in off and prior.centre[key]
     }
     most = max(moved, key=lambda key: moved[key], default=None)
     return (most, moved[most]) if most is not None and moved[most] > SWAMPED else None

@@ -12,7 +12,7 @@ import numpy as np
 from motorlens_workbench.diagnosis import MOST, Finding
 from motorlens_workbench.evidence import own_score
 from motorlens_workbench.fitting import RELATIVE_SD, Fit
-from motorlens_workbench.leftover import Bend
+from motorlens_workbench.leftover import SHARP, Bend
 from motorlens_workbench.look import Look, swamped, unsettled
 from motorlens_workbench.selection import REAL, WORTH, Test, cornered
 from motorlens_workbench.steps import TOLD_APART, Step
@@ -27,8 +27,8 @@ GROUP = 6
 # real by itself.
 BETTER, BETTER_BY_TRAVEL, BEYOND_DOUBT = 0.125, 0.02, 4.0
 # Share of the whitened sum of squares that a curve must explain where nothing was named: without a name, more is asked, less
-# of one that has a knot this many times real by itself.
-UNNAMED, UNNAMED_SHARP, SHARP_KNOT = 8e-3, 2.5e-3, 1.8
+# of one with a knot that makes it sharp.
+UNNAMED, UNNAMED_SHARP = 8e-3, 2.5e-3
 # How many times as much it must explain where a converter's steps are coarse beside its noise: their error goes with the
 # signals too.
 COARSE = 2.0
@@ -88,17 +88,19 @@ def _with_the_dead(verdict: Verdict, found: Finding) -> Verdict:
 
 
 def _of_the_living(found: Finding) -> Verdict:
+    if (drowned := swamped(found.first)) is not None:
+        said = (
+            f"Noise of the measured inputs alone moves {drowned[0]} by {100 * drowned[1]:.0f} %: what may be missing cannot "
+            "be told. Drive the motor harder, or measure its inputs with less noise."
+        )
+        return Verdict(
+            "not_testable", (), (), None, dict.fromkeys(found.first.tests, 0.0), None, (said, *limits(found))
+        )
     chosen = tuple(step.test.candidate.name for step in found.steps)
     groups = tuple(group_of(step, chosen) for step in found.steps)
     bend = structure(found)
     probability = probabilities(found, unknown=bend is not None)
     untold = tuple(limits(found))
-    if (drowned := swamped(found.first)) is not None:
-        said = (
-            f"Noise of the measured inputs alone moves {drowned[0]} by {drowned[1]:.1f} standard deviations of what is "
-            "known of it: what may be missing cannot be told. Drive the motor harder, or measure its inputs with less noise."
-        )
-        return Verdict("not_testable", (), (), None, dict.fromkeys(probability, 0.0), None, (said, *untold))
     if bend is not None:
         shape = found.whole[0] if found.whole else bend
         return Verdict("unknown", (), (), shape.curve.equation, probability, shape, untold)
@@ -141,7 +143,7 @@ def structure(found: Finding) -> Bend | None:
             return found.whole[0]
     coarse = COARSE if any(run.coarse for run in found.runs) else 1.0
     for bend in found.left:
-        unnamed = UNNAMED_SHARP if bend.best > SHARP_KNOT * REAL else UNNAMED
+        unnamed = UNNAMED_SHARP if bend.best > SHARP[2] * REAL else UNNAMED
         worth = coarse * (WORTH if found.steps else unnamed) * found.last.samples
         by_travel = bend.curve.against == "travel" and bend.best > BEYOND_DOUBT * REAL
         least = BETTER_BY_TRAVEL if by_travel else share
