@@ -345,14 +345,23 @@ def _fits(blocks: list[Array], extra: NDArray[np.bool_], without: int | None = N
     y, x = table[:, :1], table[:, 1:]
     first = int((~extra).sum())
     left = np.linalg.qr(np.column_stack([x[:, ~extra], x[:, extra], y]), mode="r")[first:, first:]
+    candidates, target = left[:, :-1], left[:, -1:]
+    # A term that this fold never visits has nothing to be scaled by.
+    visited = np.linalg.norm(candidates, axis=0) > 0
     supports = [np.zeros(int(extra.sum()), bool)]
-    if extra.any():
-        for threshold in THRESHOLDS:
-            optimizer = pysindy.STLSQ(threshold=threshold, alpha=RIDGE, unbias=False)
-            supports.append(np.asarray(optimizer.fit(left[:, :-1], left[:, -1:]).coef_[0]) != 0)
-        forward = pysindy.FROLS(alpha=RIDGE, max_iter=min(FORWARD, int(extra.sum())), normalize_columns=True)
-        forward.fit(left[:, :-1], left[:, -1:])
-        supports += [np.asarray(step[0]) != 0 for step in forward.history_]
+    if visited.any():
+        optimizers = [
+            pysindy.STLSQ(threshold=threshold, alpha=RIDGE, unbias=False) for threshold in THRESHOLDS
+        ]
+        steps = [np.asarray(one.fit(candidates[:, visited], target).coef_[0]) for one in optimizers]
+        forward = pysindy.FROLS(
+            alpha=RIDGE, max_iter=min(FORWARD, int(visited.sum())), normalize_columns=True
+        )
+        forward.fit(candidates[:, visited], target)
+        for coefficients in (*steps, *(np.asarray(step[0]) for step in forward.history_)):
+            support = visited.copy()
+            support[visited] = coefficients != 0
+            supports.append(support)
     # As many models from every fold.
     supports += supports[:1] * (1 + len(THRESHOLDS) + FORWARD - len(supports))
     fits = []

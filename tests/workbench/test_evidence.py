@@ -197,3 +197,13 @@ def test_the_detectable_size_is_detected_as_often_as_it_says():
         for _ in range(100)
     ]
     assert 0.8 < np.mean(reached) / 25.0 < 1.15
+
+
+def test_a_column_split_in_time_is_a_column_that_is_zero_elsewhere(problem):
+    columns, residual = problem
+    after = np.array([np.arange(64) >= 20, (np.arange(64) >= 5) & (np.arange(64) < 9)])
+    split = evidence_of(columns, residual, 64).split("c3", after)
+    parts = [np.where(np.repeat(part, 100), columns[:, 3], 0.0) for part in after]
+    whole = evidence_of(np.column_stack([columns, *parts]), residual, 64)
+    assert split.names == ("c0", "c1", "c2", "c3", "c4", "c3/0", "c3/1", "residual")
+    assert split.blocks == pytest.approx(whole.blocks, rel=1e-12, abs=1e-9)

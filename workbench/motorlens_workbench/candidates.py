@@ -64,6 +64,11 @@ class Candidate:
         return f"{self.name}.{self.switch}"
 
     @property
+    def warms(self) -> bool:
+        """Whether it shows in the temperature alone."""
+        return self.equation in ("thermal", "temperature")
+
+    @property
     def claims(self) -> int:
         """How much it claims: the balances it enters, and the parameters that are free."""
         what = self.variants[0][0]

@@ -12,6 +12,7 @@ from motorlens_workbench.candidates import EQUATIONS, Forcing
 Array = NDArray[np.float64]
 
 UNITS = {"voltage": "V", "torque": "N*m", "heat": "W"}
+BALANCES = tuple(UNITS)
 # Against what, and with how many knots: finer than the bumps that a coarse curve would miss.
 KNOTS = {"speed": 18, "current": 12, "temperature": 8, "time": 12}
 

@@ -15,9 +15,11 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
+from motorlens_workbench.bend import Bend
+from motorlens_workbench.contacts import Spells
 from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
 from motorlens_workbench.fitting import MEASURED, Fit, base_prior, fit, start_model
-from motorlens_workbench.leftover import Bend, leftover
+from motorlens_workbench.leftover import at_once, leftover
 from motorlens_workbench.look import Look, look, swamped, unsettled
 from motorlens_workbench.model import predict
 from motorlens_workbench.pruning import dispensable, seen_from, simpler
@@ -31,6 +33,8 @@ Array = NDArray[np.float64]
 MOST = 3
 # By how much (logarithm of the error of a channel) another way to take the inputs must be better than the recorded one.
 BETTER_WAY = 0.0025
+# What a single curve may explain from the start, over all that was named.
+INSTEAD = 1.25
 
 
 @dataclass(frozen=True)
@@ -94,12 +98,13 @@ def investigate(
         return steps, now, failed, *_left(first, steps, now, runs, say)
 
     steps, current, failed, left, whole = onward([])
-    step = uneven(current, failed, runs, say) if left and len(steps) < MOST else None
+    named = not any(isinstance(bend.curve, Spells) for bend in left)
+    step = uneven(current, failed, runs, say) if left and named and len(steps) < MOST else None
     if step is not None:
         steps, current, failed, left, whole = onward([*steps, step])
     # Where the textbook alone could not follow, the search may have begun in the wrong place; where nothing was named though
     # something is left, the effect may be too far from linear to be seen from there.
-    astray = bool(whole) and (cornered(base) or not steps)
+    astray = bool(whole) and named and (cornered(base) or not steps)
     step = in_full(first, steps, whole[0], runs, say) if astray else None
     if step is not None:
         steps, current, failed, left, whole = onward([step])
@@ -113,7 +118,7 @@ def _forward(
     failed: list[str] = []
     while len(steps) < MOST:
         avoid = [*failed, *imperfections(steps, current)]
-        step, broken = advance(current, runs, say, avoid, sum(step.gain for step in steps))
+        step, broken = advance(current, runs, say, avoid, steps)
         failed += broken
         if step is None:
             break
@@ -144,6 +149,10 @@ def _left(
     left = leftover(current.found, runs, current.decoy)
     if steps and (left or cornered(current.found) or unsettled(first, current, runs)):
         return left, leftover(first.found, runs, first.decoy)
+    if steps and (sudden := at_once(first, runs)):
+        # What changed at once passes for what changed slowly in between, and leaves little.
+        if sudden[0].gain > INSTEAD * sum(step.gain for step in steps):
+            return sudden, sudden
     return left, left
 
 

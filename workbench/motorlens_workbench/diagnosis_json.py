@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from motorlens_workbench.bend import Free
+from motorlens_workbench.changes import Change
+from motorlens_workbench.contacts import Spells
 from motorlens_workbench.dead_channels import DeadChannel
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.experiments import Experiment
 from motorlens_workbench.lasting import Lasting
-from motorlens_workbench.leftover import Free
 from motorlens_workbench.look import held_out, noise_floor
 from motorlens_workbench.selection import Test
 from motorlens_workbench.variation import Variation
@@ -167,6 +169,13 @@ def sentence(found: Finding, verdict: Verdict) -> str:
 def _shape(curve: Free) -> str:
     if isinstance(curve, Lasting):
         return f"it follows the past of the {curve.past} and is shown against the frequency of that, in {curve.unit}"
+    if isinstance(curve, Change):
+        return f"{curve.parameter} changes at once, by {100 * curve.by:+.2g} %, at {curve.at_s:.4g} s of {curve.run}"
+    if isinstance(curve, Spells):
+        return (
+            f"{curve.parameter} comes and goes as with a loose contact: some {curve.by:.2g} {curve.unit} more for "
+            f"{100 * curve.share:.0f} % of the time, most in {curve.run}"
+        )
     if isinstance(curve, Variation):
         return f"{curve.parameter} is no constant but changes with {curve.against}, in {curve.unit}"
     return f"it is shown against {curve.against}, in {curve.unit}"

@@ -111,6 +111,24 @@ class Evidence:
         at = np.append(self.index(names), len(self.names) - 1)
         return Evidence((*names, RESIDUAL), self.blocks[:, at[:, None], at], self.samples, self.power[at])
 
+    def split(self, name: str, parts: NDArray[np.bool_]) -> "Evidence":
+        """With `name` in parts of the time alone, zero elsewhere, as further columns `name/0`, `name/1` and so on.
+
+        Args:
+            name: a column.
+            parts: (S, B) which blocks belong to each part; blocks beyond (priors, what `less` leaves) belong to none.
+        """
+        count, width, blocks = len(parts), len(self.names), len(self.blocks)
+        taken = np.zeros((blocks, width, width + count))
+        taken[:, :, :width] = np.eye(width)
+        taken[: parts.shape[1], self.names.index(name), width:] = parts.T
+        # The residual stays the last.
+        order = [*range(width - 1), *range(width, width + count), width - 1]
+        made = taken.transpose(0, 2, 1) @ self.blocks @ taken
+        made = made[:, order][:, :, order]
+        names = (*self.names[:-1], *(f"{name}/{k}" for k in range(count)), RESIDUAL)
+        return Evidence(names, made, self.samples, np.diagonal(made.sum(axis=0)).copy())
+
     def explained_by(self, names: Sequence[str], coefficient: Array) -> "Evidence":
         """With a residual from which some columns, times their coefficients (k,), were taken; the columns stay."""
         change = np.eye(len(self.names))

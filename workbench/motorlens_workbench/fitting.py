@@ -35,6 +35,8 @@ MEASURED, FITTED, FORMER = "measured", "fitted to", 0.25
 WITHIN = 4.0
 # The same for a channel that is sampled late: a quarter of a sample is its converter's, more is a lag of its sensor.
 LATE = 2.0
+# How many times as large or as small a scale may become in one step.
+FARTHEST = 10.0
 # An ambient that was not recorded is a room's.
 AMBIENT_SD_K = 10.0
 
@@ -350,6 +352,10 @@ def _step(
     at = np.array([values[key] for key in keys])
     low = np.array([prior.bounds[key][0] for key in keys])
     high = np.array([prior.bounds[key][1] for key in keys])
+    # What can only be positive is a scale: a linear step to its bound would end where it has no slope to come back by.
+    scales = low > 0
+    low = np.where(scales, np.maximum(low, at / FARTHEST), low)
+    high = np.where(scales, np.minimum(high, at * FARTHEST), high)
     free = np.ones(len(keys), dtype=bool)
     move = np.zeros(len(keys))
     # Parameters that the step would push through their bounds stop there, and the rest is solved again.

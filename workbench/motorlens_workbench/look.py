@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_workbench.candidates import candidates
-from motorlens_workbench.curves import curves
+from motorlens_workbench.curves import BALANCES, curves
 from motorlens_workbench.evidence import Evidence, statistics
 from motorlens_workbench.fitting import Fit, noise_of, plain_noise, squares
 from motorlens_workbench.input_errors import without_input_errors
-from motorlens_workbench.leftover import BALANCES
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import Run
 from motorlens_workbench.screen import (

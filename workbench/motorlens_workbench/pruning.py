@@ -17,7 +17,7 @@ from motorlens_workbench.look import Look
 from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor, without_part
 from motorlens_workbench.run import Run
 from motorlens_workbench.selection import REAL, WORTH, possible, total
-from motorlens_workbench.steps import AMONG, NEAR, Step, as_good, inflation_of
+from motorlens_workbench.steps import NEAR, Step, among, as_good, inflation_of
 
 
 def dispensable(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[Step, Fit] | None:
@@ -30,14 +30,13 @@ def dispensable(steps: Sequence[Step], now: Look, runs: Sequence[Run]) -> tuple[
     """
     earlier = steps[:-1]
     fits = on_all_cores(lambda step: _without(now.found, step.test.candidate.name, runs), earlier)
-    worth = max(WORTH * now.samples, AMONG * sum(step.gain for step in steps))
     losses = {}
     for step, less in zip(earlier, fits, strict=True):
         seen = own_score(now.evidence, now.found.prior.keys, step.test.candidate.key)
         if less is None or seen is None:
             continue
         loss = total(less) - total(now.found)
-        if loss < max(REAL * seen.inflation, worth):
+        if loss < max(REAL * seen.inflation, WORTH * now.samples, among(steps, step.test.candidate)):
             losses[loss] = step, less
     return losses[min(losses)] if losses else None
 

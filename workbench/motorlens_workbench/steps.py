@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motorlens_physics.threads import on_all_cores
+from motorlens_workbench.bend import Bend
+from motorlens_workbench.candidates import Candidate
 from motorlens_workbench.evidence import own_score
 from motorlens_workbench.fitting import Fit, plain_noise
-from motorlens_workbench.leftover import Bend
 from motorlens_workbench.look import Look, decoy_of
 from motorlens_workbench.run import Run
 from motorlens_workbench.screen import all_columns, errors_by_block, evidence_of, held_out_rmse, with_priors
@@ -94,18 +95,33 @@ def likely(test: Test, tried: int) -> bool:
     return test.score is not None and test.score.p * tried < 0.5
 
 
+def among(steps: Sequence[Step], candidate: Candidate) -> float:
+    """The gain below which a candidate may be the imperfection of what was accepted before.
+
+    Of what shows in the same channels, that is: heat shows in the temperature alone.
+    """
+    return AMONG * sum(step.gain for step in steps if step.test.candidate.warms == candidate.warms)
+
+
 def advance(
-    now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str], explained: float = 0.0
+    now: Look, runs: Sequence[Run], say: Progress, avoid: Sequence[str], steps: Sequence[Step] = ()
 ) -> tuple[Step | None, list[str]]:
     """Accept the candidate that the evidence prefers, if one is real and worth having; else None and what failed.
 
-    `explained` is the gain of what was accepted before: a very small share of it may be that one's imperfection.
+    Args:
+        now: the screen from where the search stands.
+        runs: prepared recordings.
+        say: told what is done.
+        avoid: candidates that are not to be tried.
+        steps: what was accepted before.
     """
     broken: list[str] = []
     tests = _simple(now, avoid)
     for _ in range(3):
-        worth = max(WORTH * now.samples, AMONG * explained)
-        standing = [t for t in tests.values() if t.statistic > REAL and t.gain > worth]
+        worth = WORTH * now.samples
+        standing = [
+            t for t in tests.values() if t.statistic > REAL and t.gain > max(worth, among(steps, t.candidate))
+        ]
         standing.sort(key=lambda test: -test.statistic)
         standing = [t for t in standing[:8] if t.statistic > threshold(now, t) and likely(t, len(now.tests))]
         known = max((test.gain for test in standing), default=worth)

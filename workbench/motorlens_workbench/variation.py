@@ -128,6 +128,23 @@ def _with(motor: Motor, parameter: str, value: float) -> Motor:
     return motor.with_effect(replace(effect, **{name: value}))
 
 
+def parameters_of(file: MotorFile, channels: Sequence[str]) -> dict[str, tuple[str, Sequence[str]]]:
+    """The equation of every parameter that may vary, and against what: the textbook's, and what switches each effect.
+
+    Args:
+        file: the motor, with the effects accepted so far.
+        channels: measured outputs; without the temperature, heat is not looked at.
+    """
+    parameters: dict[str, tuple[str, Sequence[str]]] = {
+        key: what for key, what in TEXTBOOK.items() if what[0] != "thermal" or "temperature" in channels
+    }
+    for effect in file.motor.effects:
+        switch = effect.switch()
+        if switch is not None and not effect.states:
+            parameters[f"{effect.name()}.{switch.name}"] = (equation_of(type(effect)), EVERYTHING)
+    return parameters
+
+
 def variations(
     file: MotorFile, trajectories: Sequence[Trajectory], channels: Sequence[str]
 ) -> list[Variation]:
@@ -138,13 +155,7 @@ def variations(
         trajectories: of every run, from the present model.
         channels: measured outputs; without the temperature, heat is not looked at.
     """
-    parameters = {
-        key: what for key, what in TEXTBOOK.items() if what[0] != "thermal" or "temperature" in channels
-    }
-    for effect in file.motor.effects:
-        switch = effect.switch()
-        if switch is not None and not effect.states:
-            parameters[f"{effect.name()}.{switch.name}"] = (equation_of(type(effect)), EVERYTHING)
+    parameters = parameters_of(file, channels)
     visited = [variables(trajectory) for trajectory in trajectories]
     found = []
     for against in EVERYTHING:

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motorlens_workbench.diagnosis import MOST, Finding
+from motorlens_workbench.bend import Bend
+from motorlens_workbench.contacts import Spells
+from motorlens_workbench.diagnosis import INSTEAD, MOST, Finding
 from motorlens_workbench.evidence import own_score
 from motorlens_workbench.fitting import RELATIVE_SD, Fit
-from motorlens_workbench.leftover import SHARP, Bend
+from motorlens_workbench.leftover import SHARP
 from motorlens_workbench.look import Look, swamped, unsettled
 from motorlens_workbench.selection import REAL, WORTH, Test, cornered
 from motorlens_workbench.steps import TOLD_APART, Step
@@ -37,9 +39,8 @@ COARSE = 2.0
 LEFT_OUT = 1.4
 # Standard deviations from the motor file from which on a fitted parameter of the textbook is pointed out.
 FAR_FROM_FILE = 4.0
-# What BETTER is where as many effects as may be were named already, and what a single curve may explain from the start, over
-# all that was named.
-AFTER_ALL, INSTEAD = 0.05, 1.25
+# What BETTER is where as many effects as may be were named already.
+AFTER_ALL = 0.05
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def _of_the_living(found: Finding) -> Verdict:
     probability = probabilities(found, unknown=bend is not None)
     untold = tuple(limits(found))
     if bend is not None:
-        shape = found.whole[0] if found.whole else bend
+        shape = found.whole[0] if found.whole and not isinstance(bend.curve, Spells) else bend
         return Verdict("unknown", (), (), shape.curve.equation, probability, shape, untold)
     if not chosen:
         blind = not any(_detectable(found.last, test) for test in found.last.tests.values())
@@ -143,6 +144,8 @@ def structure(found: Finding) -> Bend | None:
             return found.whole[0]
     coarse = COARSE if any(run.coarse for run in found.runs) else 1.0
     for bend in found.left:
+        if isinstance(bend.curve, Spells):
+            return bend
         unnamed = UNNAMED_SHARP if bend.best > SHARP[2] * REAL else UNNAMED
         worth = coarse * (WORTH if found.steps else unnamed) * found.last.samples
         by_travel = bend.curve.against == "travel" and bend.best > BEYOND_DOUBT * REAL

@@ -1,0 +1,54 @@
+"""Changes at once: those of a motor solved in closed form are found with their moment and size, and only there."""
+
+import numpy as np
+import pytest
+from helpers.changing import MOTOR, drive
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_workbench.changes import Change
+from motorlens_workbench.diagnosis import investigate
+from motorlens_workbench.diagnosis_json import sentence
+from motorlens_workbench.verdict import settle
+
+DT, N = 0.002, 8000
+TIME = np.arange(N) * DT
+
+
+def diagnosed(**shares):
+    rng = np.random.default_rng(4)
+    voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 200), 200)
+    load = np.repeat(rng.uniform(-8, 8, N // 400), 400)
+    current, speed = drive(voltage, load, DT, **shares)
+    channels = {
+        "voltage": voltage,
+        "load_torque": load,
+        "current": current + 0.05 * rng.standard_normal(N),
+        "speed": speed + 0.5 * rng.standard_normal(N),
+    }
+    found = investigate(read_motor_file(MOTOR), (Recording("bench", TIME, channels),))
+    return found, settle(found)
+
+
+@pytest.mark.parametrize(
+    ("shares", "parameter", "at_s", "by"),
+    [
+        ({"flux": np.where(TIME > 6.0, 0.98, 1.0)}, "ke", 6.0, -0.02),
+        ({"resistance": np.where(TIME > 10.0, 1.08, 1.0)}, "R_a0", 10.0, 0.08),
+    ],
+)
+def test_a_change_at_once_is_unknown_and_dated(shares, parameter, at_s, by):
+    found, verdict = diagnosed(**shares)
+    assert verdict.kind == "unknown"
+    change = verdict.shape.curve
+    assert isinstance(change, Change)
+    assert change.parameter == parameter
+    assert change.by == pytest.approx(by, rel=0.15)
+    assert change.at_s == pytest.approx(at_s, abs=0.4)
+    assert f"{parameter} changes at once" in sentence(found, verdict)
+
+
+def test_a_constant_motor_is_adequate():
+    found, verdict = diagnosed()
+    assert verdict.kind == "adequate"
+    assert not found.left

@@ -1,0 +1,86 @@
+"""A loose contact: spells of more resistance in a motor solved in closed form; not noise, steps, or spikes of a sensor."""
+
+import numpy as np
+import pytest
+from helpers.changing import MOTOR, drive, textbook
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_workbench.contacts import Spells, loose_contact, robust
+from motorlens_workbench.diagnosis import base_fit
+from motorlens_workbench.model import predict
+from motorlens_workbench.run import prepare
+
+DT, N = 0.002, 8000
+
+
+def spells(rng, share, mean_s=0.03):
+    """(N,) whether the contact is bad: exponential spells of either kind."""
+    bad, at, state = np.zeros(N, dtype=bool), 0, False
+    while at < N:
+        length = 1 + int(rng.exponential((mean_s if state else mean_s * (1 / share - 1)) / DT))
+        bad[at : at + length] = state
+        at, state = at + length, not state
+    return bad
+
+
+def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
+    rng = np.random.default_rng(8)
+    voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 200), 200)
+    load = np.repeat(rng.uniform(-8, 8, N // 400), 400)
+    current, speed = drive(voltage, load, DT, resistance=resistance)
+    struck = rng.random(N) < 0.02
+    shown = voltage + spikes_V * struck * np.sign(rng.standard_normal(N))
+    channels = {
+        "voltage": shown,
+        "load_torque": load,
+        "current": current + 0.05 * noise * rng.standard_normal(N),
+        "speed": speed + 0.5 * noise * rng.standard_normal(N),
+    }
+    file = read_motor_file(MOTOR)
+    found, runs = base_fit(file, (prepare(Recording("bench", np.arange(N) * DT, channels), file),))
+    return loose_contact(found, runs, [predict(found.model, run, r)[0] for r, run in enumerate(runs)])
+
+
+@pytest.mark.parametrize(("more", "share"), [(0.3, 0.15), (1.0, 0.08)])
+def test_spells_are_found_with_their_size_and_share(more, share):
+    bad = spells(np.random.default_rng(1), share)
+    bend = contact(1.0 + more * bad)
+    assert bend is not None
+    assert isinstance(bend.curve, Spells)
+    assert bend.curve.by == pytest.approx(more * textbook()["R_a0"], rel=0.3)
+    assert bend.curve.share == pytest.approx(bad.mean(), rel=0.5)
+    # It is shown as it is: either bad or good.
+    shown = bend.value / (more * textbook()["R_a0"])
+    assert np.mean((shown > 0.25) & (shown < 0.6)) < 0.25
+
+
+@pytest.mark.parametrize(
+    "shares",
+    [
+        {},
+        {"noise": 10.0},
+        {"resistance": np.where(np.arange(N) > N // 2, 1.3, 1.0)},
+        {"spikes_V": 40.0},
+        # As often less as more: that is no contact.
+        {
+            "resistance": 1.0
+            + 0.3 * spells(np.random.default_rng(1), 0.1)
+            - 0.3 * spells(np.random.default_rng(2), 0.1)
+        },
+    ],
+)
+def test_what_is_no_contact_is_not_called_one(shares):
+    assert contact(**shares) is None
+
+
+def test_a_robust_fit_ignores_what_stands_out():
+    rng = np.random.default_rng(5)
+    terms = np.column_stack([np.ones(400), rng.standard_normal(400)])
+    noise = rng.standard_normal(400)
+    outliers = np.where(rng.random(400) < 0.1, 50.0, 0.0)
+    error, scale = robust(terms, terms @ [3.0, -2.0] + 0.2 * noise + outliers)
+    clean = outliers == 0
+    assert np.sqrt(np.mean((error - 0.2 * noise)[clean] ** 2)) < 0.08
+    assert np.all(error[~clean] > 45)
+    assert 0.17 < scale < 0.27
