@@ -39,7 +39,7 @@ def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
     }
     file = read_motor_file(MOTOR)
     found, runs = base_fit(file, (prepare(Recording("bench", np.arange(N) * DT, channels), file),))
-    return loose_contact(found, runs, [predict(found.model, run, r)[0] for r, run in enumerate(runs)])
+    return loose_contact(found.model, runs, [predict(found.model, run, r) for r, run in enumerate(runs)])
 
 
 @pytest.mark.parametrize(("more", "share"), [(0.3, 0.15), (1.0, 0.08)])

@@ -20,13 +20,20 @@ Array = NDArray[np.float64]
 EQUATIONS = {"electrical": "V", "mechanical": "N*m", "thermal": "W"}
 
 
-def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory) -> dict[str, Array]:
-    """What each equation lacks, (N,), with measured states wherever there are some and simulated ones elsewhere."""
+def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> dict[str, Array]:
+    """What each equation lacks, (N,), with measured states wherever there are some and simulated ones elsewhere.
+
+    Args:
+        model: the model.
+        run: what was measured.
+        r: which run of the model's it is.
+        trajectory: of that run, as simulated.
+        predicted: (N, C) what its sensors would show: what they add to the truth is taken out of what was measured.
+    """
     motor, inputs = model.file.motor, inputs_of(model, run, r)
     states = dict(trajectory.states)
     for k, channel in enumerate(run.channels):
-        shift = inputs.ambient_C if channel == "temperature" else 0.0
-        states[STATE_OF[channel]] = run.measured[:, k] - shift
+        states[STATE_OF[channel]] = states[STATE_OF[channel]] + run.measured[:, k] - predicted[:, k]
     x = SimpleNamespace(**states)
     u = SimpleNamespace(
         v=inputs.voltage_V, load=inputs.load_torque_Nm, ambient=inputs.ambient_C, t=inputs.time_s

@@ -143,7 +143,7 @@ def _overlay(model: Model, run: Run, r: int) -> Overlay:
     errors = run.measured - predicted
     fine = run.floor * np.sqrt(run.every)
     noise = np.array([max(noise_floor(errors[run.valid, k]), fine[k]) for k in range(len(run.channels))])
-    return Overlay(run, trajectory, predicted, noise, missing_of(model, run, r, trajectory))
+    return Overlay(run, trajectory, predicted, noise, missing_of(model, run, r, trajectory, predicted))
 
 
 def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:

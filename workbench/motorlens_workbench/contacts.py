@@ -15,7 +15,7 @@ from motorlens_physics.scenario import time_constants
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.balances import filter_times, lowpass, missing_of
 from motorlens_workbench.bend import Bend
-from motorlens_workbench.fitting import Fit
+from motorlens_workbench.model import Model
 from motorlens_workbench.run import Run
 from motorlens_workbench.variation import Variation
 
@@ -27,9 +27,9 @@ STRETCH, MOST = 60, 24
 CARRIES = 0.3
 # Standard deviations from which on a sample stands out.
 BEYOND = 6.0
-# How many must stand out, how many times as many as on the side of less resistance, and how their voltage must go with the
-# current (correlation): spikes of a sensor do not.
-LEAST, ONE_SIDED, GOES_WITH = 12, 5.0, 0.65
+# How many spells there must be, how many times as many samples must stand out as on the side of less resistance, and how
+# their voltage must go with the current (correlation): spikes of a sensor do not.
+LEAST, ONE_SIDED, GOES_WITH = 8, 4.0, 0.65
 # Samples of the stretch of time that is shown.
 SHOWN = 80
 # Bound of Huber's weights, standard deviations, and how often they are renewed.
@@ -78,18 +78,26 @@ class _Lacking:
         """(M,) in standard deviations, positive on the side of more resistance."""
         return self.voltage_V * np.sign(self.current_A) / self.scale_V
 
+    @property
+    def spells(self) -> int:
+        """How many there are: neighbours that stand out belong together."""
+        out = self.carrying & (self.deviations > BEYOND)
+        return int(np.sum(out[1:] & ~out[:-1]) + np.sum(out[:1]))
 
-def loose_contact(found: Fit, runs: Sequence[Run], trajectories: Sequence[Trajectory]) -> Bend | None:
+
+def loose_contact(
+    model: Model, runs: Sequence[Run], predictions: Sequence[tuple[Trajectory, Array]]
+) -> Bend | None:
     """The resistance against time where a contact comes and goes; None where none does.
 
     Args:
-        found: a fit.
+        model: a fitted model.
         runs: prepared recordings; those without current or speed say nothing.
-        trajectories: of every run, from that fit.
+        predictions: of every run, from that model, see `predict`.
     """
     seen = [
-        _lacking(found, run, r, trajectory)
-        for r, (run, trajectory) in enumerate(zip(runs, trajectories, strict=True))
+        _lacking(model, run, r, *predicted)
+        for r, (run, predicted) in enumerate(zip(runs, predictions, strict=True))
         if {"current", "speed"} <= {*run.channels}
     ]
     if not seen:
@@ -99,19 +107,19 @@ def loose_contact(found: Fit, runs: Sequence[Run], trajectories: Sequence[Trajec
         for what in ("deviations", "current_A", "voltage_V")
     )
     out = z > BEYOND
-    if np.sum(out) < max(LEAST, ONE_SIDED * np.sum(z < -BEYOND)):
+    if sum(one.spells for one in seen) < LEAST or np.sum(out) < ONE_SIDED * np.sum(z < -BEYOND):
         return None
     if not np.corrcoef(current[out], voltage[out])[0, 1] > GOES_WITH:
         return None
     most = max(seen, key=lambda one: int(np.sum(one.deviations[one.carrying] > BEYOND)))
-    return _shown(most, found, float(np.sum(z[out] ** 2)))
+    return _shown(most, model, float(np.sum(z[out] ** 2)))
 
 
-def _lacking(found: Fit, run: Run, r: int, trajectory: Trajectory) -> _Lacking:
-    tau = filter_times(run, time_constants(found.model.file.motor))["electrical"]
+def _lacking(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> _Lacking:
+    tau = filter_times(run, time_constants(model.file.motor))["electrical"]
     time = run.inputs.time_s
     # A voltage that is missing on the side of the drop.
-    drop = -missing_of(found.model, run, r, trajectory)["electrical"]
+    drop = -missing_of(model, run, r, trajectory, predicted)["electrical"]
     current, speed = (
         lowpass(run.measured[:, run.channels.index(channel)], time, tau) for channel in ("current", "speed")
     )
@@ -139,7 +147,7 @@ def robust(terms: Array, y: Array) -> tuple[Array, float]:
     return error, scale
 
 
-def _shown(seen: _Lacking, found: Fit, gain: float) -> Bend:
+def _shown(seen: _Lacking, model: Model, gain: float) -> Bend:
     kept = seen.carrying
     time, z = seen.time_s[kept], seen.deviations[kept]
     more, sd = (seen.voltage_V / seen.current_A)[kept], (seen.scale_V / np.abs(seen.current_A))[kept]
@@ -148,7 +156,7 @@ def _shown(seen: _Lacking, found: Fit, gain: float) -> Bend:
     by = float(np.quantile(more[spells], 0.75))
     counts = np.convolve(spells, np.ones(min(SHOWN, len(spells))), mode="valid")
     window = slice(int(np.argmax(counts)), int(np.argmax(counts)) + SHOWN)
-    unit = found.model.file.meaning("R_a0").unit
+    unit = model.file.meaning("R_a0").unit
     share = float(np.mean(more > 0.5 * by))
     curve = Spells("R_a0", "electrical", unit, "time", time[window], seen.run.name, by, share)
     excess = (spells.sum() - np.sum(z < -BEYOND)) / np.sqrt(spells.sum())

@@ -35,8 +35,6 @@ MEASURED, FITTED, FORMER = "measured", "fitted to", 0.25
 WITHIN = 4.0
 # The same for a channel that is sampled late: a quarter of a sample is its converter's, more is a lag of its sensor.
 LATE = 2.0
-# How many times as large or as small a scale may become in one step.
-FARTHEST = 10.0
 # An ambient that was not recorded is a room's.
 AMBIENT_SD_K = 10.0
 
@@ -263,6 +261,7 @@ def fit(
     *,
     rounds: int = 12,
     tolerance: float = 2e-5,
+    nearest: float = 0.0,
 ) -> Fit:
     """Fit the parameters that the prior names, starting from the model.
 
@@ -273,6 +272,8 @@ def fit(
         whiteners: the noise; None: white, of the size of the residuals, updated every round.
         rounds: at most this many Jacobians.
         tolerance: stop when a round lowers the sum of squares by less than this share (and less than 0.1).
+        nearest: share of itself below which nothing that can only be positive may fall in one step: at its bound a linear
+            step would leave it without a slope to come back by.
 
     Raises:
         ModelError: the starting point cannot be simulated, or the way from it leads where nothing can be.
@@ -294,7 +295,7 @@ def fit(
         gradient += np.array([(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys])
         moved = False
         for _ in range(8):
-            trial = _step(model, prior, keys, gram, gradient, damping)
+            trial = _step(model, prior, keys, gram, gradient, damping, nearest)
             try:
                 new = residuals_of(trial, runs)
                 reached = squares(new, runs, noise) + penalty_of(trial.values(), prior)
@@ -346,16 +347,19 @@ def normal_equations(
 
 
 def _step(
-    model: Model, prior: Prior, keys: Sequence[str], gram: Array, gradient: Array, damping: float
+    model: Model,
+    prior: Prior,
+    keys: Sequence[str],
+    gram: Array,
+    gradient: Array,
+    damping: float,
+    nearest: float,
 ) -> Model:
     values = model.values()
     at = np.array([values[key] for key in keys])
     low = np.array([prior.bounds[key][0] for key in keys])
     high = np.array([prior.bounds[key][1] for key in keys])
-    # What can only be positive is a scale: a linear step to its bound would end where it has no slope to come back by.
-    scales = low > 0
-    low = np.where(scales, np.maximum(low, at / FARTHEST), low)
-    high = np.where(scales, np.minimum(high, at * FARTHEST), high)
+    low = np.where(low > 0, np.maximum(low, nearest * at), low)
     free = np.ones(len(keys), dtype=bool)
     move = np.zeros(len(keys))
     # Parameters that the step would push through their bounds stop there, and the rest is solved again.

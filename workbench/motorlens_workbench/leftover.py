@@ -43,10 +43,11 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
         runs: prepared recordings.
         decoy: the best statistic that a decoy reaches from there.
     """
-    trajectories = [predict(found.model, run, r)[0] for r, run in enumerate(runs)]
-    if (contact := loose_contact(found, runs, trajectories)) is not None:
+    predictions = [predict(found.model, run, r) for r, run in enumerate(runs)]
+    if (contact := loose_contact(found.model, runs, predictions)) is not None:
         # Whatever else a curve would explain, a contact that comes and goes has put there.
         return [contact]
+    trajectories = [trajectory for trajectory, _ in predictions]
     outputs = sorted({channel for run in runs for channel in run.channels})
     free: list[Free] = [c for c in curves(trajectories, BALANCES) if not _disturbance(c)]
     free += lasting(trajectories)

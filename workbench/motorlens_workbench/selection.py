@@ -38,6 +38,8 @@ FAR_LARGER = 3.0
 # What claims more than this (see `Candidate.claims`) can pass for much that it is not: it is tried only where a textbook
 # that ended in a corner shows that nothing simpler will do.
 MOST_CLAIMS = 5
+# See `fit`: for small steps.
+NEAREST = 0.1
 # Times the typical size that an effect, and a sensor's fault, may plausibly have.
 PLAUSIBLE = {"effect": 40.0, "sensor": 12.0}
 
@@ -269,15 +271,30 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
         starts.insert(0, add(known, test.candidate.variants[test.variant][0]))  # type: ignore[arg-type]
     best: Fit | None = None
     for start in starts:
-        try:
-            tried = fit(start, runs, prior, found.whiteners, rounds=rounds)
-        except ModelError:
-            continue
-        if best is None or total(tried) < total(best):
-            best = tried
-        if not lost and total(found) - total(best) > 0.8 * test.gain:
-            break
+        best = _better(best, start, runs, prior, found, rounds)
+        if not lost and best is not None and total(found) - total(best) > 0.8 * test.gain:
+            return best
+    if not lost and (best is None or total(found) - total(best) < 0.5 * test.gain):
+        # Large steps come far, but may lose their way.
+        best = _better(best, linear, runs, prior, found, rounds, NEAREST)
     return best
+
+
+def _better(
+    best: Fit | None,
+    start: Model,
+    runs: Sequence[Run],
+    prior: Prior,
+    found: Fit,
+    rounds: int,
+    nearest: float = 0.0,
+) -> Fit | None:
+    """The best fit so far, or the one from another start; None if neither can be simulated."""
+    try:
+        tried = fit(start, runs, prior, found.whiteners, rounds=rounds, nearest=nearest)
+    except ModelError:
+        return best
+    return tried if best is None or total(tried) < total(best) else best
 
 
 def cornered(found: Fit) -> bool:
