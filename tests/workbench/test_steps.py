@@ -13,10 +13,11 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench import selection, verdict
+from motorlens_workbench.candidates import Candidate
 from motorlens_workbench.evidence import Score
 from motorlens_workbench.fitting import Prior, base_prior, fit, start_model
 from motorlens_workbench.run import prepare
-from motorlens_workbench.steps import imperfections, likely
+from motorlens_workbench.steps import AMONG, among, imperfections, likely
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -228,3 +229,37 @@ def test_values_that_no_motor_has_are_a_corner(key, value, corner):
     bound = dict(zip(("low", "high"), prior.bounds[key], strict=True))
     model = start_model(file, runs).with_values({key: bound.get(value, value)})
     assert selection.cornered(SimpleNamespace(model=model, prior=prior)) == corner
+
+
+@pytest.mark.parametrize(
+    ("accepted", "equation", "counts"),
+    [
+        ("load_torque", "mechanical", True),
+        ("load_torque", "thermal", False),  # what warms shows in the temperature alone
+        ("thermal", "temperature", True),
+        ("temperature", "coupling", False),
+    ],
+)
+def test_the_imperfection_of_an_effect_shows_where_the_effect_does(accepted, equation, counts):
+    first, later = (Candidate("any", "effect", what, ()) for what in (accepted, equation))
+    step = SimpleNamespace(test=SimpleNamespace(candidate=first), gain=50_000.0)
+    assert among([step], later) == (AMONG * 50_000.0 if counts else 0.0)
+
+
+@pytest.mark.parametrize("nearest", [0.3, 0.9])
+def test_no_scale_falls_below_its_share_in_one_step(nearest):
+    """A thermal capacity ten times too large: its linear step is far too long."""
+    file = read_motor_file(MOTOR)
+    time = np.arange(0.0, 1200.0, 2.0)
+    inputs = Inputs(time, np.full(len(time), 60.0), np.full(len(time), 5.0), np.full(len(time), 20.0))
+    truth = simulate(file.motor, inputs, {"w": 60.0}, smooth=True)
+    channels = {"voltage": inputs.voltage_V, "ambient": inputs.ambient_C, "load_torque": inputs.load_torque_Nm,
+                "temperature": 20.0 + truth.rise_K}  # fmt: skip
+    run = prepare(Recording("warm", time, channels), file)
+    true = file.motor.H
+    prior = Prior({"H": true}, {"H": 100 * true}, {"H": (1e-3, 1e9)})
+    started = start_model(file, [run]).with_values({"H": 10 * true})
+    once = fit(started, [run], prior, rounds=1, nearest=nearest).model.values()["H"]
+    assert once == pytest.approx(nearest * 10 * true, rel=1e-9)
+    found = fit(started, [run], prior, rounds=40, nearest=nearest).model.values()["H"]
+    assert found == pytest.approx(true, rel=0.02)

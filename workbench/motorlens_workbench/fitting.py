@@ -373,6 +373,8 @@ def _step(
             break
         move[beyond] = np.clip(at[beyond] + move[beyond], low[beyond], high[beyond]) - at[beyond]
         free &= ~beyond
+        if not free.any():
+            break
     return model.with_values(dict(zip(keys, np.clip(at + move, low, high).tolist(), strict=True)))
 
 
