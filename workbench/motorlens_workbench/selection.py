@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 # The statistic that counts as real, about p = 1e-6 for one test: a hundred candidates and shapes are tried, and the noise
 # model is an estimate.
 REAL = 26.0
+# The statistic from which a candidate is accepted: a little more, for the luckiest of a hundred recordings with nothing
+# missing reaches what counts as real for one.
+ACCEPTED = 29.0
 # Share of the whitened sum of squares below which an effect is not worth having.
 WORTH = 1e-3
 
@@ -83,7 +86,7 @@ class Test:
         """The smallest size that would be called real and worth having, in the switch's unit."""
         if self.score is None:
             return float("inf")
-        needed = max(REAL * self.score.inflation, WORTH * samples)
+        needed = max(ACCEPTED * self.score.inflation, WORTH * samples)
         return abs(self.typical) * float(np.sqrt(needed / max(self.score.information[0, 0], 1e-300)))
 
 

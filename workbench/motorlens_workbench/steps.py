@@ -15,6 +15,7 @@ from motorlens_workbench.look import Look, decoy_of
 from motorlens_workbench.run import Run
 from motorlens_workbench.screen import all_columns, errors_by_block, evidence_of, held_out_rmse, with_priors
 from motorlens_workbench.selection import (
+    ACCEPTED,
     REAL,
     WORTH,
     Progress,
@@ -87,7 +88,7 @@ def imperfections(steps: Sequence[Step], now: Look) -> list[str]:
 def threshold(now: Look, test: Test) -> float:
     """The statistic that counts as real for a candidate: a decoy that explains what it leaves must be far weaker."""
     labels = test.candidate.columns()[test.variant]
-    return max(REAL, 2.0 * decoy_of(now.left, labels))
+    return max(ACCEPTED, 2.0 * decoy_of(now.left, labels))
 
 
 def likely(test: Test, tried: int) -> bool:
@@ -120,7 +121,9 @@ def advance(
     for _ in range(3):
         worth = WORTH * now.samples
         standing = [
-            t for t in tests.values() if t.statistic > REAL and t.gain > max(worth, among(steps, t.candidate))
+            t
+            for t in tests.values()
+            if t.statistic > ACCEPTED and t.gain > max(worth, among(steps, t.candidate))
         ]
         standing.sort(key=lambda test: -test.statistic)
         standing = [t for t in standing[:8] if t.statistic > threshold(now, t) and likely(t, len(now.tests))]
