@@ -6,7 +6,7 @@ always fitted along.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -262,7 +262,7 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
 
     It starts where the linearised problem ends, then from the fit as it is. A fit that ended in a corner made up for what is
     missing with values that are far off: from there, what was known beforehand is tried first, the candidate at its typical
-    size, and the best of all starts counts.
+    size, and the best of all starts counts. So it does where a fit lost its way.
     """
     linear, prior = with_candidate(found, evidence, test)
     part = next(part for part in parts_of(linear.file) if part.name() == test.candidate.name)
@@ -276,11 +276,20 @@ def refit(found: Fit, evidence: Evidence, test: Test, runs: Sequence[Run], round
     for start in starts:
         best = _better(best, start, runs, prior, found, rounds)
         if not lost and best is not None and total(found) - total(best) > 0.8 * test.gain:
-            return best
-    if not lost and (best is None or total(found) - total(best) < 0.5 * test.gain):
-        # Large steps come far, but may lose their way.
-        best = _better(best, linear, runs, prior, found, rounds, NEAREST)
-    return best
+            break
+    if lost or (best is not None and total(found) - total(best) > 0.5 * test.gain and not _flat(best, test)):
+        return best
+    # Large steps come far, but may lose their way; so may the shape that the screen prefers.
+    best = _better(best, linear, runs, prior, found, rounds, NEAREST)
+    typical = replace(test, variant=len(test.candidate.variants) // 2)
+    return _better(best, with_candidate(found, evidence, typical)[0], runs, prior, found, rounds, NEAREST)
+
+
+def _flat(found: Fit, test: Test) -> bool:
+    """Whether a scale of the candidate ended at its bound, where the fit has no slope to come back by."""
+    values, bounds = found.model.values(), found.prior.bounds
+    own = [key for key in found.prior.keys if key.startswith(f"{test.candidate.name}.")]
+    return any(bounds[key][0] > 0 and values[key] in bounds[key] for key in own)
 
 
 def _better(
