@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from helpers.recordings import FOLDER, REGBOT_LEFT, needs_recordings, regbot
 from scipy.integrate import solve_ivp
 
+from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording, read_recording, write_recording
@@ -137,6 +139,18 @@ def test_what_an_equation_lacks_is_the_missing_term() -> None:
     # -0.02 N m against the motion, within what smoothing leaves of noise and transients.
     assert np.median(lacking[w[steady] > 0]) == pytest.approx(-0.02, abs=0.003)
     assert np.median(lacking[w[steady] < 0]) == pytest.approx(0.02, abs=0.003)
+
+
+def test_what_goes_with_an_angle_nobody_knows_is_left_out() -> None:
+    """Samples half a second apart say nothing of the shaft's angle: the model has no detents there."""
+    coarse = bench(nothing, nothing, nothing)
+    every = slice(None, None, 125)
+    channels = {quantity: values[every] for quantity, values in coarse.channels.items()}
+    recording = Recording("coarse", coarse.time_s[every], channels)
+    detents = catalogue()["cogging_torque"].typical(SERVO.rated)
+    with_detents = replace(SERVO, motor=SERVO.motor.with_effect(detents))
+    plain, toothed = (compare(file, [recording]).overlays[0].missing for file in (SERVO, with_detents))
+    assert all(np.array_equal(plain[equation], toothed[equation]) for equation in plain)
 
 
 def test_absent_channels_are_said_in_words() -> None:

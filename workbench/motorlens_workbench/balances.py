@@ -30,7 +30,8 @@ def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted
         trajectory: of that run, as simulated.
         predicted: (N, C) what its sensors would show: what they add to the truth is taken out of what was measured.
     """
-    motor, inputs = model.file.motor, inputs_of(model, run, r)
+    # What goes with the shaft's angle is simulated only where that is known.
+    motor, inputs = trajectory.motor, inputs_of(model, run, r)
     states = dict(trajectory.states)
     for k, channel in enumerate(run.channels):
         states[STATE_OF[channel]] = states[STATE_OF[channel]] + run.measured[:, k] - predicted[:, k]
