@@ -26,7 +26,7 @@ def spells(rng, share, mean_s=0.03):
 
 def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
     rng = np.random.default_rng(8)
-    voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 200), 200)
+    voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 800), 800)
     load = np.repeat(rng.uniform(-8, 8, N // 400), 400)
     current, speed = drive(voltage, load, DT, resistance=resistance)
     struck = rng.random(N) < 0.02

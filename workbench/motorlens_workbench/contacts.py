@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 
 # Samples of a stretch of time that is fitted by itself, and how many stretches there are at most.
 STRETCH, MOST = 60, 24
+# Filter times for which the voltage must have kept to this share of its effective value: where the motor has just been
+# driven elsewhere, what a sensor lags by goes with the current too.
+STEADY, KEPT = 10, 0.05
 # Share of the effective current from which on a current would show a bad contact.
 CARRIES = 0.3
 # Standard deviations from which on a sample stands out.
@@ -61,6 +64,7 @@ class _Lacking:
         current_A: (M,).
         voltage_V: (M,) beyond a robust fit of its stretch of time.
         scale_V: (M,) robust standard deviation of its stretch.
+        steady: (M,) whether the voltage had been steady.
     """
 
     run: Run
@@ -68,10 +72,13 @@ class _Lacking:
     current_A: Array
     voltage_V: Array
     scale_V: Array
+    steady: NDArray[np.bool_]
 
     @property
     def carrying(self) -> NDArray[np.bool_]:
-        return np.asarray(np.abs(self.current_A) > CARRIES * np.sqrt(np.mean(self.current_A**2)))
+        """(M,) whether a bad contact would show."""
+        flows = np.abs(self.current_A) > CARRIES * np.sqrt(np.mean(self.current_A**2))
+        return np.asarray(self.steady & flows)
 
     @property
     def deviations(self) -> Array:
@@ -126,14 +133,20 @@ def _lacking(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: 
     step = max(1, round(tau / run.period_s))
     at = np.arange(20 * step, len(time), step)
     at = at[run.valid[at]]
+    voltage = lowpass(run.inputs.voltage_V, time, tau)
+    moved = np.abs(voltage - np.concatenate([np.full(STEADY * step, voltage[0]), voltage[: -STEADY * step]]))
+    steady = moved < KEPT * np.sqrt(np.mean(voltage**2))
+    # What the model has a little wrong: over the run as a whole, then a resistance that warms. With more terms, two levels
+    # of a current that is steady otherwise would lie on one line.
     terms = np.column_stack([np.ones_like(current), current, speed, np.gradient(current)])
-    parts = []
+    drop[at] = robust(terms[at], drop[at])[0]
+    parts = [np.zeros((0, 3))]
     for stretch in np.array_split(at, max(min(MOST, len(at) // STRETCH), 1)):
-        if len(stretch) <= 2 * terms.shape[1]:
-            continue
-        beyond, scale = robust(terms[stretch], drop[stretch])
-        parts.append(np.column_stack([time[stretch], current[stretch], beyond, np.full(len(stretch), scale)]))
-    return _Lacking(run, *np.concatenate([*parts, np.zeros((0, 4))]).T)
+        beyond, scale = robust(current[stretch, None], drop[stretch])
+        parts.append(np.column_stack([stretch, beyond, np.full(len(stretch), scale)]))
+    used, beyond, scales = np.concatenate(parts).T
+    at = used.astype(int)
+    return _Lacking(run, time[at], current[at], beyond, scales, steady[at])
 
 
 def robust(terms: Array, y: Array) -> tuple[Array, float]:
