@@ -8,6 +8,7 @@ from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.contacts import Spells, loose_contact, robust
 from motorlens_workbench.diagnosis import base_fit
+from motorlens_workbench.fitting import start_model
 from motorlens_workbench.model import predict
 from motorlens_workbench.run import prepare
 
@@ -72,6 +73,16 @@ def test_spells_are_found_with_their_size_and_share(more, share):
 )
 def test_what_is_no_contact_is_not_called_one(shares):
     assert contact(**shares) is None
+
+
+@pytest.mark.parametrize("samples", [60, 200])
+def test_a_run_too_short_says_nothing(samples):
+    time = np.arange(samples) * DT
+    channels = {name: np.sin(20 * time) for name in ("voltage", "current", "speed")}
+    file = read_motor_file(MOTOR)
+    runs = [prepare(Recording("short", time, channels), file)]
+    model = start_model(file, runs)
+    assert loose_contact(model, runs, [predict(model, runs[0], 0)]) is None
 
 
 def test_a_robust_fit_ignores_what_stands_out():

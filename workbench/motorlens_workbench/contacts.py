@@ -1,8 +1,8 @@
 """A contact that comes and goes: spells of more resistance, too short and too irregular for any curve.
 
 While a contact is bad the electrical equation lacks a voltage that goes with the current, always on the side of more
-resistance; noise lies on both sides alike. What stands out, stands out from a robust fit of each stretch of time (Huber
-1964, doi:10.1214/aoms/1177703732), so that a model that is a little wrong does not matter.
+resistance; noise lies on both sides alike. What stands out, stands out from robust fits of the run and of each stretch of
+it (Huber 1964, doi:10.1214/aoms/1177703732), so that a model that is a little wrong does not matter.
 """
 
 from collections.abc import Sequence
@@ -99,14 +99,15 @@ def loose_contact(
 
     Args:
         model: a fitted model.
-        runs: prepared recordings; those without current or speed say nothing.
+        runs: prepared recordings; those without current or speed say nothing, nor do very short ones.
         predictions: of every run, from that model, see `predict`.
     """
-    seen = [
+    looked = [
         _lacking(model, run, r, *predicted)
         for r, (run, predicted) in enumerate(zip(runs, predictions, strict=True))
         if {"current", "speed"} <= {*run.channels}
     ]
+    seen = [one for one in looked if one is not None]
     if not seen:
         return None
     z, current, voltage = (
@@ -122,7 +123,7 @@ def loose_contact(
     return _shown(most, model, float(np.sum(z[out] ** 2)))
 
 
-def _lacking(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> _Lacking:
+def _lacking(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> _Lacking | None:
     tau = filter_times(run, time_constants(model.file.motor))["electrical"]
     time = run.inputs.time_s
     # A voltage that is missing on the side of the drop.
@@ -133,6 +134,8 @@ def _lacking(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: 
     step = max(1, round(tau / run.period_s))
     at = np.arange(20 * step, len(time), step)
     at = at[run.valid[at]]
+    if len(at) < STRETCH:
+        return None
     voltage = lowpass(run.inputs.voltage_V, time, tau)
     moved = np.abs(voltage - np.concatenate([np.full(STEADY * step, voltage[0]), voltage[: -STEADY * step]]))
     steady = moved < KEPT * np.sqrt(np.mean(voltage**2))
