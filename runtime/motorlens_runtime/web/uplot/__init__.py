@@ -1,0 +1,1 @@
+"""uPlot, the plotting library of the pages: see README.md."""
