@@ -16,9 +16,9 @@ from motorlens_train.build import Recipe, build
 from motorlens_train.data import cycle
 from motorlens_train.duty_cycles import Noise as White
 from motorlens_train.duty_cycles import duty_cycle, instants
-from motorlens_train.evaluation import Evaluation, text_table
+from motorlens_train.evaluation.scores import Evaluation, text_table
 from motorlens_train.features import feature_rows, motor_bank
-from motorlens_train.observer import ObserverSettings, with_observer
+from motorlens_train.observer.design import ObserverSettings, with_observer
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Bank, Rate
 from motorlens_train.trainer import Settings

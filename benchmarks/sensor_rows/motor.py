@@ -32,8 +32,8 @@ from motorlens_train.baselines import (
 )
 from motorlens_train.baselines.method import OUTPUTS, UNITS
 from motorlens_train.build import Recipe
-from motorlens_train.evaluation import Evaluation, counted, evaluate
-from motorlens_train.observer import with_observer
+from motorlens_train.evaluation.scores import Evaluation, counted, evaluate
+from motorlens_train.observer.design import with_observer
 from motorlens_train.paper import paper_run
 from motorlens_train.specification import Bank, Feature, Rate
 from motorlens_train.trainer import Settings

@@ -25,9 +25,9 @@ from motorlens_train.baselines import ExtendedKalman, Method
 from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.method import UNITS
 from motorlens_train.duty_cycles import duty_cycle
-from motorlens_train.evaluation import Evaluation, evaluate
+from motorlens_train.evaluation.scores import Evaluation, evaluate
 from motorlens_train.material import relative, tolerant
-from motorlens_train.observer import with_observer
+from motorlens_train.observer.design import with_observer
 
 CASES = {
     "magnet": ("magnets, -0.2 %/K", {"magnet_temperature.beta": 0.002}),

@@ -12,9 +12,9 @@ from motorlens_train.baselines import ExtendedKalman, Method, SteadyStateVoltage
 from motorlens_train.baselines.extended_kalman import noise_of
 from motorlens_train.build import Recipe, build
 from motorlens_train.data import cycle
-from motorlens_train.evaluation import evaluate
+from motorlens_train.evaluation.scores import evaluate
 from motorlens_train.material import from_recordings
-from motorlens_train.observer import ObserverSettings, with_observer
+from motorlens_train.observer.design import ObserverSettings, with_observer
 from motorlens_train.specification import Rate
 from motorlens_train.trainer import Settings
 

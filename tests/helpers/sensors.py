@@ -10,7 +10,7 @@ from motorlens_train.build import Built, Recipe, build
 from motorlens_train.data import cycle
 from motorlens_train.duty_cycles import Noise, duty_cycle, instants
 from motorlens_train.features import motor_bank
-from motorlens_train.observer import ObserverSettings, with_observer
+from motorlens_train.observer.design import ObserverSettings, with_observer
 from motorlens_train.specification import Bank, Rate
 from motorlens_train.trainer import Settings
 

@@ -23,7 +23,7 @@ MOTOR = Path(__file__).resolve().parents[2] / "models" / "motors" / "mellah2016.
 def trained():
     """The trainer's observer of the paper's motor."""
     pytest.importorskip("sympy")
-    observer = pytest.importorskip("motorlens_train.observer")
+    observer = pytest.importorskip("motorlens_train.observer.design")
     return observer.observer(read_motor_file(MOTOR))
 
 

@@ -19,7 +19,7 @@ from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.extended_kalman import noise_of
 from motorlens_train.baselines.method import low_pass, truth
 from motorlens_train.bound import Noise, Prior, bound_of_recording
-from motorlens_train.evaluation import counted
+from motorlens_train.evaluation.scores import counted
 
 
 @pytest.fixture(scope="module")

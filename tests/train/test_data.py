@@ -21,7 +21,7 @@ from motorlens_train.material import (
     relative,
     tolerant,
 )
-from motorlens_train.observer import ObserverSettings
+from motorlens_train.observer.design import ObserverSettings
 from motorlens_train.paper import PAPER_ERROR, paper_run
 from motorlens_train.specification import Rate
 from motorlens_train.trainer import Settings

@@ -13,8 +13,8 @@ from motorlens_runtime.cli import main
 from motorlens_train.baselines.method import Estimate, truth
 from motorlens_train.bound import Noise
 from motorlens_train.build import golden
-from motorlens_train.evaluation import counted, evaluate, idle, text_table
-from motorlens_train.evaluation_sensor import bank_from, read_sensor
+from motorlens_train.evaluation.scores import counted, evaluate, idle, text_table
+from motorlens_train.evaluation.sensor_file import bank_from, read_sensor
 from motorlens_train.export import write_sensor
 from motorlens_train.features import feature_rows
 

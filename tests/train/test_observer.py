@@ -20,13 +20,13 @@ from motorlens_runtime.sensor import load_sensor
 from motorlens_train.baselines.method import steps_of, truth
 from motorlens_train.bound import Noise, Prior, bound_of_recording
 from motorlens_train.build import golden
-from motorlens_train.evaluation import counted
+from motorlens_train.evaluation.scores import counted
 from motorlens_train.export import write_sensor
 from motorlens_train.features import feature_rows
-from motorlens_train.observer import ObserverSettings, observer
-from motorlens_train.observer_file import Observer
-from motorlens_train.observer_model import equations, linearised
-from motorlens_train.observer_program import OPERATIONS, Program, Recorder, record
+from motorlens_train.observer.design import ObserverSettings, observer
+from motorlens_train.observer.file import Observer
+from motorlens_train.observer.model import equations, linearised
+from motorlens_train.observer.program import OPERATIONS, Program, Recorder, record
 
 SETTINGS = ObserverSettings(voltage_sd=NOISE["voltage"], current_sd=NOISE["current"])
 

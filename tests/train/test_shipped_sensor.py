@@ -10,8 +10,8 @@ from motorlens_physics.scenario import perform
 from motorlens_runtime.sensor import load_sensor
 from motorlens_train.baselines.method import OUTPUTS
 from motorlens_train.duty_cycles import TrainingDuty, duty_cycle, with_noise
-from motorlens_train.evaluation import counted
-from motorlens_train.evaluation_sensor import read_sensor
+from motorlens_train.evaluation.scores import counted
+from motorlens_train.evaluation.sensor_file import read_sensor
 from motorlens_train.material import noise_of
 
 ROOT = Path(__file__).resolve().parents[2]

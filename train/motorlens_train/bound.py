@@ -21,7 +21,7 @@ from motorlens_physics.motor import Motor
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_runtime.errors import DataError
-from motorlens_train.observer_model import along, linearised
+from motorlens_train.observer.model import along, linearised
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from motorlens_train.calibration import ENOUGH, noise_head
 from motorlens_train.cascade import Architecture
 from motorlens_train.data import Cycle, arrays, errors, scale_of
 from motorlens_train.features import feature_rows
-from motorlens_train.observer_frame import Frame
+from motorlens_train.observer.frame import Frame
 from motorlens_train.posterior import LastLayer
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Array, Bank, Envelope, Rate, Specification

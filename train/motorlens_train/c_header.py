@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from motorlens_train.features import wiring
-from motorlens_train.observer_file import TIME, WINDOW, Observer
-from motorlens_train.observer_program import Program
+from motorlens_train.observer.file import TIME, WINDOW, Observer
+from motorlens_train.observer.program import Program
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Array, Bank
 

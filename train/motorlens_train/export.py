@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from motorlens_train.features import wiring
-from motorlens_train.observer_onnx import observer_nodes
+from motorlens_train.observer.nodes import observer_nodes
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Bank
 

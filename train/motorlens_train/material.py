@@ -15,9 +15,9 @@ from motorlens_train.baselines.extended_kalman import noise_of as noise_found
 from motorlens_train.build import Recipe
 from motorlens_train.data import Cycle, cycle
 from motorlens_train.duty_cycles import Noise, duty_cycle, instants
-from motorlens_train.evaluation import counted
+from motorlens_train.evaluation.scores import counted
 from motorlens_train.features import motor_bank, recording_bank
-from motorlens_train.observer import ObserverSettings, with_observer
+from motorlens_train.observer.design import ObserverSettings, with_observer
 from motorlens_train.paper import PaperRun, paper_run
 from motorlens_train.specification import Array, Bank, Rate
 from motorlens_train.trainer import Settings

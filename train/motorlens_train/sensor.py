@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from motorlens_train.cascade import Network, dense, forward
-from motorlens_train.observer_frame import Frame
+from motorlens_train.observer.frame import Frame
 from motorlens_train.posterior import LastLayer
 from motorlens_train.scaling import Scaling, Whitening
 from motorlens_train.specification import Array, Bank, Specification

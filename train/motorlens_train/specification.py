@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_train.observer_file import Observer
+from motorlens_train.observer.file import Observer
 
 Array = NDArray[np.float64]
 

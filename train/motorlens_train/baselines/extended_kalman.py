@@ -20,7 +20,7 @@ from motorlens_physics.recording import Recording
 from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.method import Array, Estimate, inputs, steps_of, truth
 from motorlens_train.bound import transition
-from motorlens_train.observer_model import linearised, without_angle
+from motorlens_train.observer.model import linearised, without_angle
 
 # Candidates of the tuning: walks of the load in rated torques, of the winding in kelvin, per square root of a second.
 LOAD_WALKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)

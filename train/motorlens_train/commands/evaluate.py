@@ -55,9 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_train.baselines.extended_kalman import noise_of
     from motorlens_train.baselines.method import Method
     from motorlens_train.bound import Noise
-    from motorlens_train.evaluation import evaluate, text_table
-    from motorlens_train.evaluation_fit import plate_of, simulated_duty
-    from motorlens_train.evaluation_sensor import read_sensor
+    from motorlens_train.evaluation.scores import evaluate, text_table
+    from motorlens_train.evaluation.sensor_file import read_sensor
+    from motorlens_train.evaluation.simulated import plate_of, simulated_duty
 
     sensor = read_sensor(arguments.sensor)
     recordings = [read_recording(path, arguments.column) for path in arguments.recordings]
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     for note in evaluation.notes:
         print(note)
     if arguments.png or arguments.html:
-        from motorlens_train.evaluation_drawing import save_html, save_png
+        from motorlens_train.evaluation.drawing import save_html, save_png
 
         if arguments.png:
             save_png(evaluation, sensor.name, arguments.png)

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from motorlens_train.observer_program import Program
+from motorlens_train.observer.program import Program
 
 Array = NDArray[np.float64]
 

@@ -24,10 +24,10 @@ from typing import Any
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.symbols import named
-from motorlens_train.observer_algebra import Branch, bend, congruence, dot, exponential, mixed, probability
-from motorlens_train.observer_file import BRANCHES, MEMORY, WINDOW, Observer
-from motorlens_train.observer_model import Equations, equations
-from motorlens_train.observer_program import Program, Recorder, Value, record
+from motorlens_train.observer.algebra import Branch, bend, congruence, dot, exponential, mixed, probability
+from motorlens_train.observer.file import BRANCHES, MEMORY, WINDOW, Observer
+from motorlens_train.observer.model import Equations, equations
+from motorlens_train.observer.program import Program, Recorder, Value, record
 from motorlens_train.specification import Bank, Feature
 
 # No observer is better than this share of the rating plate; below it, its sureness says nothing.

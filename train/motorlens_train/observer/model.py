@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.motor import Motor
 from motorlens_physics.symbols import LOAD, SIDE, TIME, named, parameter_keys, parameter_values, trace
-from motorlens_train.observer_program import Program, Recorder, record
+from motorlens_train.observer.program import Program, Recorder, record
 
 Array = NDArray[np.float64]
 

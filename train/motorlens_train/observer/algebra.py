@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from motorlens_train.observer_program import Recorder, Value
+from motorlens_train.observer.program import Recorder, Value
 
 # States and covariance of one branch.
 Branch = tuple[list[Any], list[list[Any]]]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from motorlens_train.baselines.method import OUTPUTS, UNITS
-from motorlens_train.evaluation import COVERAGE_SD, Evaluation, Trace, text_table
+from motorlens_train.evaluation.scores import COVERAGE_SD, Evaluation, Trace, text_table
 
 # At most so many points of a line are drawn; more than a screen has columns is waste.
 _POINTS = 4000

@@ -5,8 +5,8 @@ from typing import Any, Protocol
 
 from onnx import TensorProto, helper
 
-from motorlens_train.observer_file import TIME, WINDOW, Observer
-from motorlens_train.observer_program import Program
+from motorlens_train.observer.file import TIME, WINDOW, Observer
+from motorlens_train.observer.program import Program
 
 _OPERATORS = {
     "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "neg": "Neg", "sqrt": "Sqrt", "exp": "Exp", "log": "Log",

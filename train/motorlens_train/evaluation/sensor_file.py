@@ -13,7 +13,7 @@ from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_train.baselines.method import OUTPUTS, Estimate, inputs
 from motorlens_train.features import feature_rows
-from motorlens_train.observer_file import Observer
+from motorlens_train.observer.file import Observer
 from motorlens_train.specification import Bank, Feature, Filter
 
 _ROWS = 65536

@@ -1,0 +1,1 @@
+"""How good a sensor is: scores against other methods and the bound, and what they look like."""
