@@ -142,14 +142,15 @@ def hold(
 
 
 def integrate(
-    step: Any, rest: Any, torque: Any, linear: Any, propagate: Any, time: Vector, inputs: Vector, held: bool, smooth: bool,
+    step: Any, rest: Any, torque: Any, linear: Any, propagate: Any, time: Vector, inputs: Vector, held: int, smooth: bool,
     p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float, out: Vector,
     S: Vector, work: Any, kept: Vector, matrices: Vector,
 ) -> int:  # fmt: skip
     """Fill out[1:] from the state x at time[0]; return -1, or the sample where no step was small enough or none is left.
 
     `step`, `rest`, `torque` and `linear` are functions of `compile.source`, `propagate` is that of `compile_variational`.
-    `inputs` is (N, 3). Sensitivities S are carried along if there is a workspace (see `sensitivity`), and kept, with the
+    `inputs` is (N, 3); bit j of `held` says that input j holds between samples, else it runs linearly.
+    Sensitivities S are carried along if there is a workspace (see `sensitivity`), and kept, with the
     matrices of each sample, where there is room. `carry` keeps the length of the next step between calls, counts accepted
     and rejected steps, and holds how many may yet be tried.
     """
@@ -158,7 +159,7 @@ def integrate(
     for k in range(time.size - 1):
         span = time[k + 1] - time[k]
         for j in range(3):
-            u[3 + j] = 0.0 if held else (inputs[k + 1, j] - inputs[k, j]) / span
+            u[3 + j] = 0.0 if held >> j & 1 else (inputs[k + 1, j] - inputs[k, j]) / span
         for j in range(3):
             u[j] = inputs[k, j]
         if p[INDUCTANCE] == 0.0:

@@ -21,4 +21,4 @@ of_propagate = types.void(
     types.FunctionType(of_linear), v, v, float64, v, float64, float64, float64, v, v, float64, float64, m, of_work
 )  # fmt: skip
 pointers = [types.FunctionType(f) for f in (of_step, of_rest, of_torque, of_linear, of_propagate)]
-of_integrate = int64(*pointers, v, m, boolean, boolean, v, v, v, v, float64, m, m, of_work, mm, mm)
+of_integrate = int64(*pointers, v, m, int64, boolean, v, v, v, v, float64, m, m, of_work, mm, mm)

@@ -28,12 +28,10 @@ class Linearisation:
     Attributes:
         states: names of the n states.
         matrices: (N - 1, n, 3 n): from sample k to k + 1, Phi and the Gammas of a forcing at the one and at the other.
-        held: whether the inputs of the trajectory were held between samples.
     """
 
     states: tuple[str, ...]
     matrices: Array
-    held: bool
 
     def respond(
         self,
@@ -41,7 +39,7 @@ class Linearisation:
         torque_Nm: Array | None = None,
         heat_W: Array | None = None,
         *,
-        held: bool = False,
+        held: bool | tuple[bool, bool, bool] = False,
     ) -> dict[str, Array]:
         """Response of each state, (N, m), to forcings (N, m) that enter the balances, from rest of the perturbation.
 
@@ -49,7 +47,7 @@ class Linearisation:
             voltage_V: added to L di/dt.
             torque_Nm: added to J dw/dt; positive drives forward.
             heat_W: added to H dtheta/dt.
-            held: whether forcings hold from sample to sample; otherwise they run linearly.
+            held: whether forcings hold from sample to sample (all, or each of the three); otherwise they run linearly.
         """
         given = {0: voltage_V, 1: torque_Nm, 2: heat_W}
         shapes = {np.shape(forcing) for forcing in given.values() if forcing is not None}
@@ -60,7 +58,8 @@ class Linearisation:
         for row, values in given.items():
             if values is not None:
                 forcing[:, row] = values
-        response = _respond(self.matrices, forcing, held)
+        hold = np.array((held,) * 3 if isinstance(held, bool) else held)
+        response = _respond(self.matrices, forcing, hold)
         return {name: response[:, j] for j, name in enumerate(self.states)}
 
 
@@ -100,7 +99,7 @@ def linearise_and_differentiate(
     n, steps = len(motor.states()), inputs.time_s.size - 1
     matrices = np.empty((max(steps, 1), n, 3 * n))[:steps]
     trajectory, kept = _forward(motor, inputs, initial, keys, (), tolerance, smooth, matrices)
-    linear = Linearisation(tuple(trajectory.states), matrices, inputs.held)
+    linear = Linearisation(tuple(trajectory.states), matrices)
     return trajectory, _by_key(keys, trajectory, kept), linear
 
 
@@ -210,11 +209,10 @@ def _check(motor: Motor, candidates: Sequence[Effect], parameters: list[str], st
             )
 
 
-def _respond_plain(matrices: Array, forcing: Array, held: bool) -> Array:
+def _respond_plain(matrices: Array, forcing: Array, hold: NDArray[np.bool_]) -> Array:
     n, columns = matrices.shape[1], forcing.shape[2]
     response = np.zeros((matrices.shape[0] + 1, n, columns))
     for k in range(matrices.shape[0]):
-        later = k if held else k + 1
         for r in range(n):
             for c in range(n):
                 phi = matrices[k, r, c]
@@ -222,6 +220,7 @@ def _respond_plain(matrices: Array, forcing: Array, held: bool) -> Array:
                     response[k + 1, r, j] += phi * response[k, c, j]
             for c in range(3):
                 first, last = matrices[k, r, n + c], matrices[k, r, 2 * n + c]
+                later = k if hold[c] else k + 1
                 for j in range(columns):
                     response[k + 1, r, j] += first * forcing[k, c, j] + last * forcing[later, c, j]
     return response

@@ -56,14 +56,15 @@ class Inputs:
         voltage_V: at the terminals.
         load_torque_Nm: positive against a forward rotation.
         ambient_C: ambient temperature.
-        held: whether the values hold until the next sample (a drive's output) or run linearly to it.
+        held: whether the values hold until the next sample (a drive's output) or run linearly to it: of all, or of voltage,
+            load torque and ambient each.
     """
 
     time_s: Array
     voltage_V: Array
     load_torque_Nm: Array
     ambient_C: Array
-    held: bool = False
+    held: bool | tuple[bool, bool, bool] = False
 
     def __post_init__(self) -> None:
         for name in ("time_s", "voltage_V", "load_torque_Nm", "ambient_C"):
@@ -82,6 +83,11 @@ class Inputs:
             raise DataError(f"inputs: time_s does not increase at sample {int(np.argmax(backwards)) + 1}")
         if self.time_s.size == 0:
             raise DataError("inputs: no samples")
+
+    @property
+    def hold(self) -> tuple[bool, bool, bool]:
+        """Whether voltage, load torque and ambient hold between samples, each."""
+        return (self.held,) * 3 if isinstance(self.held, bool) else self.held
 
 
 @dataclass(frozen=True)
@@ -203,7 +209,7 @@ class Stepper:
         self._inputs[:] = voltage, load, ambient
         self._scale = np.maximum(self._scale, _scales(self._motor, self._system, self._inputs, self._x))
         failed = self._motor_code(
-            time, self._inputs, True, False, self._parameters, self._x, self._carry, self._tolerance * self._scale,
+            time, self._inputs, 0b111, False, self._parameters, self._x, self._carry, self._tolerance * self._scale,
             self._tolerance, self._out, *_NOTHING,
         )  # fmt: skip
         if failed >= 0:
@@ -265,8 +271,9 @@ def run(
     out[0] = x
     # A fit tries parameters with which the motor oscillates for ever; that is no model of a recording.
     steps = STEPS_A_SAMPLE * len(out) + 10_000 if smooth else np.inf
+    held = sum(1 << j for j, holds in enumerate(inputs.hold) if holds)
     failed = code(
-        inputs.time_s, stacked, inputs.held, smooth, parameters, x.copy(), np.array([np.inf, 0.0, 0.0, steps]), atol,
+        inputs.time_s, stacked, held, smooth, parameters, x.copy(), np.array([np.inf, 0.0, 0.0, steps]), atol,
         tolerance, out, *workspace,
     )  # fmt: skip
     if failed >= 0:

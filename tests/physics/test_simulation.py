@@ -251,3 +251,20 @@ def test_a_fit_does_not_wait_for_a_motor_that_never_settles() -> None:
     assert np.isfinite(simulate(Motor(), rarely, smooth=True).speed_rad_s).all()
     often = constant(1.0, 1001, 240.0)
     assert np.isfinite(simulate(toothed, often, smooth=True).speed_rad_s).all()
+
+
+def test_each_input_runs_between_samples_in_its_own_way() -> None:
+    # The same course on a grid ten times as fine, where what holds is a staircase and what runs linearly is interpolated.
+    time = np.arange(60) * 0.05
+    rng = np.random.default_rng(5)
+    volts, load, ambient = rng.uniform(50, 240, 60), rng.uniform(0, 6, 60), 0 * time + 20.0
+    fine = np.linspace(0, time[-1], 59 * 50 + 1)
+    at = np.minimum(np.searchsorted(time, fine + 1e-9, side="right") - 1, 59)
+    courses = {True: lambda y: y[at], False: lambda y: np.interp(fine, time, y)}
+    for held in ((True, False, False), (False, True, False)):
+        coarse = simulate(Motor(), Inputs(time, volts, load, ambient, held))
+        finely = Inputs(fine, courses[held[0]](volts), courses[held[1]](load), 0 * fine + 20.0, held)
+        speed = simulate(Motor(), finely).speed_rad_s[::50]
+        np.testing.assert_allclose(coarse.speed_rad_s, speed, atol=0.02)
+        other = simulate(Motor(), replace(coarse.inputs, held=not held[0])).speed_rad_s
+        assert np.abs(other - speed).max() > 0.2
