@@ -26,10 +26,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
 
-from motorlens_runtime import framing
-from motorlens_runtime.dialects import Dialect, make_dialect
-from motorlens_runtime.dialects.vesc import packet
-from motorlens_runtime.link import Link
+from motorlens_runtime.line import framing
+from motorlens_runtime.line.dialects import Dialect, make_dialect
+from motorlens_runtime.line.dialects.vesc import packet
+from motorlens_runtime.line.link import Link
 
 MOST_HELD = 1 << 16
 WATCHED = ("framing.py", "link.py", "dialects/")

@@ -28,16 +28,16 @@ from pathlib import Path
 import numpy as np
 
 from motorlens_firmware_sim import faults
-from motorlens_runtime.estimator import Estimates, Estimator
-from motorlens_runtime.feed import open_feed
-from motorlens_runtime.framing import MAX_BODY, Channel, Decoder, Hello, hello_frames, samples_frame
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.outlet import Grid, OutletReport
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.realtime import PRIORITY, realtime
-from motorlens_runtime.sensor import load_sensor
-from motorlens_runtime.service import Service, Settings
-from motorlens_runtime.sources import open_source, split
+from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.line.feed import open_feed
+from motorlens_runtime.line.framing import MAX_BODY, Channel, Decoder, Hello, hello_frames, samples_frame
+from motorlens_runtime.line.sources import open_source, split
+from motorlens_runtime.sensor.sensor import load_sensor
+from motorlens_runtime.service.outlet import Grid, OutletReport
+from motorlens_runtime.service.realtime import PRIORITY, realtime
+from motorlens_runtime.service.service import Service, Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 LOOPS = ((1000, 1), (10_000, 10), (20_000, 20))

@@ -29,15 +29,15 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).parent))
 import hil
 
-from motorlens_runtime import snapshot
-from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.feed import open_feed
-from motorlens_runtime.outlet import OutletReport
-from motorlens_runtime.parquet_folder import ParquetFolder
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.sensor import load_sensor
-from motorlens_runtime.service import Service, Settings
-from motorlens_runtime.swap import Swap
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.files.parquet_folder import ParquetFolder
+from motorlens_runtime.line.feed import open_feed
+from motorlens_runtime.sensor.sensor import load_sensor
+from motorlens_runtime.service import snapshot
+from motorlens_runtime.service.outlet import OutletReport
+from motorlens_runtime.service.service import Service, Settings
+from motorlens_runtime.service.swap import Swap
 
 SENSOR = hil.ROOT / "models" / "sensors" / "mellah2016.onnx"
 # What was published so long before the kill must be on disk.
@@ -181,8 +181,8 @@ def rows_of_folder(folder: Path, before: set[str]) -> dict[float, list[float]]:
 
 def readable(path: Path) -> bool:
     """Whether a recording reads as far as its last whole row."""
-    from motorlens_runtime.csv_stream import CsvStream
     from motorlens_runtime.errors import DataError
+    from motorlens_runtime.files.csv_stream import CsvStream
 
     if not path.stat().st_size:
         return True  # killed before its heading was on disk

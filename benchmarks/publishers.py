@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.files.shared_memory import Reader
 from motorlens_runtime.publish import Header, open_publisher
-from motorlens_runtime.shared_memory import Reader
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.specification import Output
 
 HEADER = Header(
     "bench",

@@ -20,13 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from motorlens_runtime.backend import TILE
-from motorlens_runtime.estimator import Estimates, Estimator
-from motorlens_runtime.framing import Channel, Decoder, Hello, hello_frames, samples_frame
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.link import Link
-from motorlens_runtime.sensor import load_sensor
-from motorlens_runtime.service import Service, Settings
+from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.line.framing import Channel, Decoder, Hello, hello_frames, samples_frame
+from motorlens_runtime.line.link import Link
+from motorlens_runtime.sensor.backend import TILE
+from motorlens_runtime.sensor.sensor import load_sensor
+from motorlens_runtime.service.service import Service, Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES = 2000

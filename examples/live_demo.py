@@ -20,7 +20,7 @@ import matplotlib
 import numpy as np
 
 from motorlens_physics.recording import Recording, read_recording
-from motorlens_runtime.quality import names
+from motorlens_runtime.estimate.quality import names
 
 matplotlib.use("Agg")
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.framing import Channel
+from motorlens_runtime.line.framing import Channel
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int16]

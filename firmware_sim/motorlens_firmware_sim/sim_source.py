@@ -45,7 +45,7 @@ def open_url(parts: SplitResult, options: dict[str, str]) -> "SimulatedLine":
 
 
 class SimulatedLine:
-    """Bytes that become readable when the drive would have sent them. See `motorlens_runtime.sources.Source`."""
+    """Bytes that become readable when the drive would have sent them. See `motorlens_runtime.line.sources.Source`."""
 
     lasting = False
 

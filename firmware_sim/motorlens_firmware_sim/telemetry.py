@@ -8,7 +8,7 @@ import numpy as np
 from motorlens_firmware_sim.adc import Adc, Codes
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
-from motorlens_runtime.framing import (
+from motorlens_runtime.line.framing import (
     Flag,
     Hello,
     Status,

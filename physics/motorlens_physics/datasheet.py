@@ -7,8 +7,8 @@ from typing import Any
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated, parameters
-from motorlens_runtime.columns import understand
 from motorlens_runtime.errors import DataError, ModelError
+from motorlens_runtime.files.columns import understand
 
 REQUIRED = ("voltage_V", "current_A", "speed_rad_s", "resistance_ohm", "no_load_current_A")
 OPTIONAL = ("inductance_H", "inertia_kg_m2", "rise_K", "ambient_C")

@@ -1,7 +1,7 @@
 """Recordings: measured or simulated channels over time, in SI, with what was found wrong with them in words.
 
-Columns are recognised and converted by `motorlens_runtime.columns`. Time and voltage are required; every other channel is
-optional, and what is absent limits what can be concluded.
+Columns are recognised and converted by `motorlens_runtime.files.columns`. Time and voltage are required; every other
+channel is optional, and what is absent limits what can be concluded.
 """
 
 import csv
@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.columns import Column, canonical_name, parse_mapping, require, understand
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.columns import Column, canonical_name, parse_mapping, require, understand
 
 Array = NDArray[np.float64]
 
@@ -32,8 +32,8 @@ class Recording:
         name: the file's name, or that of the scenario.
         time_s: (N,) strictly increasing.
         channels: quantity ("voltage", "current", "speed", "temperature", "load_torque", "ambient", "angle") to (N,) in
-            the units of `motorlens_runtime.columns`; temperatures in degC. A missing sample of a measured output is NaN;
-            voltage, load torque and ambient have none.
+            the units of `motorlens_runtime.files.columns`; temperatures in degC. A missing sample of a measured output is
+            NaN; voltage, load torque and ambient have none.
         notes: what was found and handled while reading, in words.
     """
 
@@ -71,7 +71,7 @@ def read_recording(path: Path | str, mapping: Mapping[str, str] | Sequence[str] 
 
     Args:
         path: the file; `NAME.columns.toml` beside it may hold a `[columns]` table with the mapping.
-        mapping: quantity to heading, or the arguments of `--column`; see `motorlens_runtime.columns.understand`.
+        mapping: quantity to heading, or the arguments of `--column`; see `motorlens_runtime.files.columns.understand`.
 
     Raises:
         DataError: empty, a required column missing, an unknown unit, text in a number, too many missing or backward

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime import framing
-from motorlens_runtime.estimator import Estimator
-from motorlens_runtime.link import Link
-from motorlens_runtime.sensor import Sensor
+from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.line import framing
+from motorlens_runtime.line.link import Link
+from motorlens_runtime.sensor.sensor import Sensor
 
 RATES_HZ = (100, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
 # A core that is busier than this has no room for a burst after a stall.

@@ -10,7 +10,7 @@ from motorlens_firmware_sim.faults import burst, drop_bytes, flip_bits, insert_b
 from motorlens_firmware_sim.port import PtyPort
 from motorlens_firmware_sim.telemetry import Drive, sendings
 from motorlens_runtime.errors import DeviceError
-from motorlens_runtime.framing import Decoder, Flag, HelloAssembler, Kind
+from motorlens_runtime.line.framing import Decoder, Flag, HelloAssembler, Kind
 
 
 def test_converter_by_hand() -> None:

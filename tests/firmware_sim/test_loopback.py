@@ -18,7 +18,7 @@ from motorlens_firmware_sim.sim_source import SimulatedLine
 from motorlens_firmware_sim.telemetry import Sending
 from motorlens_physics.recording import read_recording
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.quality import Quality
+from motorlens_runtime.estimate.quality import Quality
 
 ROOT = Path(__file__).resolve().parents[2]
 MOTORLENS = [sys.executable, "-c", "import sys; from motorlens_runtime.cli import main; sys.exit(main())"]

@@ -9,7 +9,7 @@ import tty
 
 import numpy as np
 
-from motorlens_runtime.framing import Channel, Hello, hello_frames, samples_frame
+from motorlens_runtime.line.framing import Channel, Hello, hello_frames, samples_frame
 
 
 class WireDevice:

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from motorlens_runtime.alarms import Limit, Quantity, TimeToLimit, Watch, parse_alarm
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.specification import parse_specification
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.sensor.specification import parse_specification
+from motorlens_runtime.service.alarms import Limit, Quantity, TimeToLimit, Watch, parse_alarm
 
 HEAT = Quantity(column=0, heading="temperature_rise_K", side=1, sigmas=0.0)
 

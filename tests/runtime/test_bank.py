@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motorlens_runtime.bank import FilterBank
+from motorlens_runtime.estimate.bank import FilterBank
 
 TAUS = [0.001, 0.01, 0.3, 5.0, 100.0, 900.0]
 BANK = FilterBank(["current"] * len(TAUS), TAUS)

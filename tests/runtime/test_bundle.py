@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from helpers.sensor_files import write_sensor
 
-from motorlens_runtime import bundle
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError, DeviceError
+from motorlens_runtime.sensor import bundle
 
 OFFLINE = ["unshare", "--net", "--map-root-user"]
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from motorlens_runtime.columns import understand
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.columns import understand
 
 
 def test_the_headings_of_infer_are_understood():

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motorlens_runtime.decimal_text import nine_digits, read, seconds, seconds_text, table
+from motorlens_runtime.files.decimal_text import nine_digits, read, seconds, seconds_text, table
 
 
 def text_of(row):

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motorlens_runtime.dialects import dialect_names, make_dialect, recognise
-from motorlens_runtime.dialects.binary import CHECKSUMS, Binary, parse_record
-from motorlens_runtime.dialects.roboclaw import RoboClaw
-from motorlens_runtime.dialects.stamps import ArrivalStamps, DeviceStamps, RateStamps
-from motorlens_runtime.dialects.text import Text
-from motorlens_runtime.dialects.vesc import Vesc
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.line.dialects import dialect_names, make_dialect, recognise
+from motorlens_runtime.line.dialects.binary import CHECKSUMS, Binary, parse_record
+from motorlens_runtime.line.dialects.roboclaw import RoboClaw
+from motorlens_runtime.line.dialects.stamps import ArrivalStamps, DeviceStamps, RateStamps
+from motorlens_runtime.line.dialects.text import Text
+from motorlens_runtime.line.dialects.vesc import Vesc
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -320,7 +320,7 @@ def test_a_heading_without_a_time_after_one_with_it_does_not_step_back():
 
 
 def test_what_a_line_speaks_is_recognised():
-    from motorlens_runtime import framing
+    from motorlens_runtime.line import framing
 
     frames = b"".join(
         framing.samples_frame(np.zeros((5, 2), dtype=np.int16), schema=1, sequence=k, t0_us=5 * k)
@@ -348,7 +348,7 @@ BO_ 2147488000 Bus: 2 ECU
 def test_can_reads_what_a_bus_carries(tmp_path):
     pytest.importorskip("cantools", reason="the extra `can` is not installed")
     can = pytest.importorskip("can", reason="python-can is not installed")
-    from motorlens_runtime.dialects.can import frame_bytes
+    from motorlens_runtime.line.dialects.can import frame_bytes
 
     path = tmp_path / "drive.dbc"
     path.write_text(DBC)
@@ -384,7 +384,7 @@ def test_can_reads_what_a_bus_carries(tmp_path):
 
 
 def test_can_frame_is_the_kernels():
-    from motorlens_runtime.dialects import can
+    from motorlens_runtime.line.dialects import can
 
     assert (can.CLASSIC.size, can.FLEXIBLE.size) == (16, 72)
     if hasattr(socket, "CAN_EFF_FLAG"):

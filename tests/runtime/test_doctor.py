@@ -10,7 +10,7 @@ from helpers.sensor_files import write_sensor
 
 from motorlens_runtime import doctor
 from motorlens_runtime.cli import main
-from motorlens_runtime.notify import Notifier
+from motorlens_runtime.service.notify import Notifier
 
 
 def test_percentiles_in_microseconds():

@@ -14,9 +14,9 @@ import pytest
 from helpers.sensor_files import write_sensor
 
 from motorlens_runtime.cli import main
-from motorlens_runtime.dialects import make_dialect
-from motorlens_runtime.feed import LineFeed
-from motorlens_runtime.sources import split
+from motorlens_runtime.line.dialects import make_dialect
+from motorlens_runtime.line.feed import LineFeed
+from motorlens_runtime.line.sources import split
 
 MS = 1_000_000
 
@@ -159,8 +159,8 @@ def test_each_complete_round_of_answers_is_a_sample(
     monkeypatch.chdir(tmp_path)
     write_sensor("s.onnx", rate_Hz=100.0)
     drive = MadeUpTime(answer, each, deaf_every)
-    monkeypatch.setattr("motorlens_runtime.feed.open_source", lambda parts, options: drive)
-    monkeypatch.setattr("motorlens_runtime.live.time", drive)
+    monkeypatch.setattr("motorlens_runtime.line.feed.open_source", lambda parts, options: drive)
+    monkeypatch.setattr("motorlens_runtime.service.live.time", drive)
     source = f"tcp://127.0.0.1:1?dialect={name}&poll_Hz=100"
     options = ["--record", "rec.csv", "--publish", "csv:out.csv", "--json", "r.json", "--duration", "2"]
     assert main(["run", "--source", source, "--sensor", "s.onnx", *options]) == 0
@@ -196,7 +196,7 @@ class Recorded:
 
 def test_the_line_is_waited_for_no_longer_than_until_the_next_question(monkeypatch):
     source, now = Recorded(), [0]
-    monkeypatch.setattr("motorlens_runtime.feed.open_source", lambda parts, options: source)
+    monkeypatch.setattr("motorlens_runtime.line.feed.open_source", lambda parts, options: source)
     feed = LineFeed(*split("tcp://127.0.0.1:1?dialect=vesc&poll_Hz=100"), None, 0.0, lambda: now[0])
     feed.read(0.05)
     assert len(source.sent) == 1 and source.waited[-1] == 0.05

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimator import Estimates, Estimator, EstimatorState
-from motorlens_runtime.gate import GateState, Samples
-from motorlens_runtime.quality import OpcUa, Quality, names, opc_ua, sparkplug
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.estimate.estimator import Estimates, Estimator, EstimatorState
+from motorlens_runtime.estimate.gate import GateState, Samples
+from motorlens_runtime.estimate.quality import OpcUa, Quality, names, opc_ua, sparkplug
+from motorlens_runtime.sensor.sensor import load_sensor
 
 SHIPPED = Path(__file__).resolve().parents[2] / "models/sensors"
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motorlens_runtime.features import Channels, FeatureMap
-from motorlens_runtime.sensor import load_sensor
-from motorlens_runtime.specification import Feature, Filter
+from motorlens_runtime.estimate.features import Channels, FeatureMap
+from motorlens_runtime.sensor.sensor import load_sensor
+from motorlens_runtime.sensor.specification import Feature, Filter
 
 SHIPPED = Path(__file__).resolve().parents[2] / "models/sensors/mellah2016.onnx"
 RESISTANCE_OHM = 3.7

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 
-from motorlens_runtime.backend import TILE, NumpyBackend
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.onnx_file import parse
+from motorlens_runtime.sensor.backend import TILE, NumpyBackend
+from motorlens_runtime.sensor.onnx_file import parse
 
 FEATURES = 6
 RNG = np.random.default_rng(5)

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.framing import (
+from motorlens_runtime.line.framing import (
     MAX_BODY,
     MAX_PAYLOAD,
     Channel,

@@ -6,9 +6,9 @@ from helpers.sensor_files import write_sensor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motorlens_runtime.gate import Gate, Gated, GateState, Samples
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.estimate.gate import Gate, Gated, GateState, Samples
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.sensor.sensor import load_sensor
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motorlens_runtime.framing import (
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.line.framing import (
     Channel,
     Flag,
     Frame,
@@ -18,9 +20,7 @@ from motorlens_runtime.framing import (
     samples_frame,
     status_frame,
 )
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.link import Link
-from motorlens_runtime.quality import Quality
+from motorlens_runtime.line.link import Link
 
 SECOND = 1_000_000_000
 

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.publish import Header, open_publisher
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.specification import Output
 
 stream_reader = pytest.importorskip("mcap.stream_reader", reason="the extra `mcap` is not installed")
 

@@ -20,13 +20,13 @@ from helpers.wire_device import WireDevice
 
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError, DeviceError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.monitor.attach import attach
 from motorlens_runtime.monitor.history import History
 from motorlens_runtime.monitor.page import WORDS, MonitorPage
 from motorlens_runtime.publish import Header, open_publisher
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.specification import Output
 
 HEADER = Header(
     "bench",

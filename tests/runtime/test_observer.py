@@ -10,11 +10,11 @@ from helpers.sensor_files import features_by_loop, make_spec, write_sensor
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.estimator import Estimates, Estimator
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.observer import Observer
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.observer import Observer
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.sensor.sensor import load_sensor
 
 MOTOR = Path(__file__).resolve().parents[2] / "models" / "motors" / "mellah2016.toml"
 
@@ -210,7 +210,7 @@ def test_an_observer_alone_without_filters(tmp_path):
 
 def test_heat_in_an_observer_is_remembered(trained, tmp_path):
     """Warm, off for an hour, restored from the file: the observer stands where a rest of an hour would have brought it."""
-    snapshot = pytest.importorskip("motorlens_runtime.snapshot")
+    snapshot = pytest.importorskip("motorlens_runtime.service.snapshot")
     write_sensor(tmp_path / "s.onnx", spec=spec_with(trained), features=features_with(trained))
     sensor = load_sensor(tmp_path / "s.onnx")
     estimator = Estimator(sensor, 1e-3)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from motorlens_runtime.errors import DataError, DeviceError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.publish import Header, open_publisher
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.specification import Output
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # what the library's own imports say is not our concern

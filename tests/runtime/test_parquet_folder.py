@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from motorlens_runtime.errors import DataError, DeviceError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.publish import Header, open_publisher
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.specification import Output
 
 pq = pytest.importorskip("pyarrow.parquet", reason="the extra `publish` is not installed")
 

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from motorlens_runtime.pipeline import Behind, ahead
+from motorlens_runtime.files.pipeline import Behind, ahead
 
 
 def settled():

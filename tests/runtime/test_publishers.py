@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from motorlens_runtime.errors import DataError, DeviceError
-from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.outlet import Outlet
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.files.shared_memory import Reader, Writer
 from motorlens_runtime.publish import Header, open_publisher
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.shared_memory import Reader, Writer
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.specification import Output
+from motorlens_runtime.service.outlet import Outlet
 
 HEADER = Header(
     'press "7"',
@@ -453,7 +453,7 @@ def test_shared_memory_reader_never_sees_half_a_row(tmp_path):
     path = tmp_path / "ring"
     writer = Writer(path, {}, outputs=3, capacity=4)
     script = f"""
-        from motorlens_runtime.shared_memory import Reader
+        from motorlens_runtime.files.shared_memory import Reader
         reader = Reader({str(path)!r})
         print("ready", flush=True)
         seen = set()

@@ -8,7 +8,7 @@ import pytest
 from helpers.sensor_files import write_sensor
 
 from motorlens_runtime.cli import main
-from motorlens_runtime.realtime import collecting, realtime
+from motorlens_runtime.service.realtime import collecting, realtime
 
 
 def profile():
@@ -33,7 +33,7 @@ def test_what_is_refused_is_said_with_what_allows_it(monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "sched_setscheduler", refuse)
-        patched.setattr("motorlens_runtime.realtime._libc", lambda: Refusing())
+        patched.setattr("motorlens_runtime.service.realtime._libc", lambda: Refusing())
         with realtime("/nowhere/cpu_dma_latency") as answer:
             assert len(answer.granted) == 1
             assert "LimitRTPRIO=40" in answer.refused[0] and "ulimit -r" in answer.refused[0]

@@ -19,7 +19,7 @@ from helpers.sensor_files import write_sensor
 from helpers.wire_device import WireDevice
 
 from motorlens_runtime.cli import main
-from motorlens_runtime.quality import Quality
+from motorlens_runtime.estimate.quality import Quality
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def estimates(path):
 @pytest.mark.parametrize(("rate_Hz", "n"), [(1000, 1), (10_000, 10), (20_000, 20)])
 def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(here, monkeypatch, rate_Hz, n):
     # On a busy machine the device itself may take much longer than real time.
-    monkeypatch.setattr("motorlens_runtime.service._GRACE_NS", 60_000_000_000)
+    monkeypatch.setattr("motorlens_runtime.service.service._GRACE_NS", 60_000_000_000)
     with WireDevice(rate_Hz, n, count=2000) as device:
         device.start_when_open()
         seconds = 2000 * n / rate_Hz

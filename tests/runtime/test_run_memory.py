@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from helpers.sensor_files import write_sensor
 
-from motorlens_runtime import memory as memory_module
 from motorlens_runtime.cli import main
-from motorlens_runtime.estimator import Estimates, Estimator
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.memory import Memory
-from motorlens_runtime.outlet import Outlet
+from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.publish import Header
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.sensor import load_sensor
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.sensor import load_sensor
+from motorlens_runtime.sensor.specification import Output
+from motorlens_runtime.service import memory as memory_module
+from motorlens_runtime.service.memory import Memory
+from motorlens_runtime.service.outlet import Outlet
 
 
 @pytest.fixture

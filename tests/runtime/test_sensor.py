@@ -9,10 +9,10 @@ import pytest
 from helpers.sensor_files import features_by_loop, make_spec, seal, write_sensor
 
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.estimator import Estimator
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.onnx_file import parse
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.sensor.onnx_file import parse
+from motorlens_runtime.sensor.sensor import load_sensor
 
 
 def recording(n, rng, irregular=False):

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from helpers.sensor_files import features_by_loop, make_spec, write_sensor
 
-from motorlens_runtime import snapshot
-from motorlens_runtime.estimator import Estimator
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.sensor.sensor import load_sensor
+from motorlens_runtime.service import snapshot
 
 S = 1_000_000_000
 
@@ -192,7 +192,7 @@ def test_a_disk_that_refuses_leaves_the_old_file(sensor, tmp_path):
 def test_killed_while_writing_leaves_an_old_or_a_new_snapshot_never_a_torn_one(tmp_path):
     path = tmp_path / "heat.json"
     script = f"""
-        from motorlens_runtime.snapshot import Snapshot, save
+        from motorlens_runtime.service.snapshot import Snapshot, save
         k = 0
         while True:
             k += 1

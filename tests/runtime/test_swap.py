@@ -10,11 +10,11 @@ import pytest
 from helpers.sensor_files import make_spec, seal, write_sensor
 
 from motorlens_runtime.cli import main
-from motorlens_runtime.estimator import Estimates, Estimator
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.sensor import load_sensor
-from motorlens_runtime.swap import Swap, carried
+from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.sensor.sensor import load_sensor
+from motorlens_runtime.service.swap import Swap, carried
 
 
 def alike(folder, name, seed=0, shift=0.0, sigma=1.0):

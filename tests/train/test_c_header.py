@@ -9,7 +9,7 @@ from helpers.duty import MELLAH, measured_duty
 from helpers.sensors import small_sensor
 
 from motorlens_runtime.cli import main
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_train.c_header import c_header
 from motorlens_train.features import feature_rows
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_train.build import Built, Recipe, build, golden
 from motorlens_train.data import Cycle
 from motorlens_train.export import core_graph, sealed, step_graph, write_sensor

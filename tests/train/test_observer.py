@@ -14,9 +14,9 @@ from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import with_overrides
 from motorlens_physics.scenario import chosen_scenario, measure, perform
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_runtime.estimator import Estimator
-from motorlens_runtime.gate import Samples
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_train.baselines.method import steps_of, truth
 from motorlens_train.bound import Noise, Prior, bound_of_recording
 from motorlens_train.build import golden

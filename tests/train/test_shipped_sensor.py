@@ -7,7 +7,7 @@ import pytest
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.scenario import perform
-from motorlens_runtime.sensor import load_sensor
+from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_train.baselines.method import OUTPUTS
 from motorlens_train.duty_cycles import TrainingDuty, duty_cycle, with_noise
 from motorlens_train.evaluation.scores import counted

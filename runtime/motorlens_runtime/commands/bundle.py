@@ -48,9 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     import re
 
-    from motorlens_runtime.bundle import MACHINES, Target, write_bundle
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
+    from motorlens_runtime.sensor.bundle import MACHINES, Target, write_bundle
 
     target = Target()
     machine, python = arguments.target or target.machine, arguments.python or target.python

@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_runtime import doctor
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
-    from motorlens_runtime.sensor import load_sensor
+    from motorlens_runtime.sensor.sensor import load_sensor
 
     if not 0.01 <= arguments.seconds <= 3600:
         raise DataError(f"--seconds {arguments.seconds:g}: from 0.01 to 3600")

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from motorlens_runtime.infer import infer
+    from motorlens_runtime.files.infer import infer
 
     if arguments.output == "-" and arguments.json == "-":
         from motorlens_runtime.errors import DataError

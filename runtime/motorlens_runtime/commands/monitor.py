@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.attach is not None:
         return _attached(arguments)
-    from motorlens_runtime.live import run_live
+    from motorlens_runtime.service.live import run_live
 
     if arguments.sensor is None:
         raise DataError("--source needs a sensor: give --sensor S.onnx")
@@ -51,12 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
 def _attached(arguments: argparse.Namespace) -> int:
     import time
 
-    from motorlens_runtime.alarms import Watch, parse_alarm
     from motorlens_runtime.errors import DataError
-    from motorlens_runtime.live import stopping
     from motorlens_runtime.monitor.attach import attach
     from motorlens_runtime.monitor.page import MonitorPage
-    from motorlens_runtime.sensor import load_sensor
+    from motorlens_runtime.sensor.sensor import load_sensor
+    from motorlens_runtime.service.alarms import Watch, parse_alarm
+    from motorlens_runtime.service.live import stopping
     from motorlens_runtime.web.browser import announce
 
     for name in ("publish", "swap", "memory", "record", "column", "ambient", "realtime"):

@@ -82,6 +82,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from motorlens_runtime.live import run_live
+    from motorlens_runtime.service.live import run_live
 
     return run_live(arguments)

@@ -20,13 +20,13 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from motorlens_runtime.errors import DataError, DeviceError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.files.shared_memory import Reader
 from motorlens_runtime.publish import Header, address_of, file_of
 from motorlens_runtime.publish.prometheus import DEFAULT_PORT, metric_names
 from motorlens_runtime.publish.udp import PLOTJUGGLER_PORT
-from motorlens_runtime.quality import Quality
-from motorlens_runtime.shared_memory import Reader
-from motorlens_runtime.specification import HEADINGS, Output
+from motorlens_runtime.sensor.specification import HEADINGS, Output
 
 _OUTPUTS = {heading: Output(name, unit, 1.0) for (name, unit), (heading, _) in HEADINGS.items()}
 _COUNTS = {

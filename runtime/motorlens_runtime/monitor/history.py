@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.outlet import rows_of
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.service.outlet import rows_of
 
 # Rows that each level keeps.
 ROWS = 6000

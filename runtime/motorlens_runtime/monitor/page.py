@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import Quality, names, opc_ua
 from motorlens_runtime.monitor.history import BINS_S, History
 from motorlens_runtime.publish import Header
-from motorlens_runtime.quality import Quality, names, opc_ua
 from motorlens_runtime.web import asset
 from motorlens_runtime.web.loopback import Answer, LoopbackServer, Request, refusal
 

@@ -11,8 +11,8 @@ from typing import Protocol
 from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.specification import Output
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.sensor.specification import Output
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from urllib.parse import SplitResult
 
 import numpy as np
 
-from motorlens_runtime.decimal_text import seconds_text, table
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.files.decimal_text import seconds_text, table
 from motorlens_runtime.publish import Header, file_of, options_of
 
 # From this many rows on, writing them together is faster; the text is the same.

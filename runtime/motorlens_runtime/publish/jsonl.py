@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import IO, Any
 from urllib.parse import SplitResult
 
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import names
 from motorlens_runtime.publish import Header, file_of, options_of
-from motorlens_runtime.quality import names
 
 
 def open_url(url: SplitResult, header: Header) -> "JsonLinesPublisher":

@@ -11,7 +11,7 @@ from urllib.parse import SplitResult
 
 from mcap.writer import CompressionType, IndexType, Writer
 
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.publish import Header, file_of, options_of
 from motorlens_runtime.publish.jsonl import documents
 

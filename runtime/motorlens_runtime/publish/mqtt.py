@@ -25,11 +25,11 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import OpcUa, opc_ua
 from motorlens_runtime.options import Options
 from motorlens_runtime.publish import Header, address_of
 from motorlens_runtime.publish.jsonl import documents
-from motorlens_runtime.quality import OpcUa, opc_ua
 
 # Messages handed over and not yet on the wire; beyond, new ones are dropped.
 _MOST_WAITING = 1000

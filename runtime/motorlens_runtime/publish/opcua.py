@@ -22,10 +22,10 @@ from urllib.parse import SplitResult, parse_qsl
 from asyncua import Server, ua
 
 from motorlens_runtime.errors import DeviceError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import OpcUa, opc_ua
 from motorlens_runtime.options import Options
 from motorlens_runtime.publish import Header, address_of
-from motorlens_runtime.quality import OpcUa, opc_ua
 
 DEFAULT_PORT = 4840
 _NAMESPACE = "urn:motorlens"

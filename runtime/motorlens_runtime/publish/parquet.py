@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimator import Estimates
-from motorlens_runtime.parquet_folder import ParquetFolder, arrow_of
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.files.parquet_folder import ParquetFolder, arrow_of
 from motorlens_runtime.publish import Header, Publisher, file_of, options_of
 
 _ROWS_PER_GROUP = 1 << 15

@@ -14,10 +14,10 @@ from typing import Any
 from urllib.parse import SplitResult
 
 from motorlens_runtime.errors import DeviceError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.estimate.quality import OpcUa, Quality, names, opc_ua
 from motorlens_runtime.publish import Header, address_of, options_of
-from motorlens_runtime.quality import OpcUa, Quality, names, opc_ua
-from motorlens_runtime.specification import Output
+from motorlens_runtime.sensor.specification import Output
 
 DEFAULT_PORT = 9464
 _UNITS = {"rad/s": "radians_per_second", "K": "kelvin", "degC": "celsius", "ohm": "ohms"}

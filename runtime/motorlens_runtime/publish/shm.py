@@ -7,9 +7,9 @@ from pathlib import Path
 from urllib.parse import SplitResult
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.files.shared_memory import Writer
 from motorlens_runtime.publish import Header, file_of, options_of
-from motorlens_runtime.shared_memory import Writer
 
 
 def open_url(url: SplitResult, header: Header) -> "SharedMemoryPublisher":

@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import SplitResult
 
 from motorlens_runtime.errors import DeviceError
-from motorlens_runtime.estimator import Estimates
+from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.publish import Header, address_of, options_of
 from motorlens_runtime.publish.jsonl import documents
 

@@ -1,0 +1,1 @@
+"""From samples to estimates: gate and quality, filter bank, observer, features, estimator."""

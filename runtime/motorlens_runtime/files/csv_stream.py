@@ -1,0 +1,299 @@
+"""Recorded samples from a CSV file of any length, block by block in constant memory.
+
+A block whose cells are all numbers is parsed in one call, of a large file by pyarrow where that is installed; anything else
+is parsed cell by cell, which is slower and says exactly which cell is at fault. Empty cells and NaN are passed on: the gate
+leaves them out and flags them.
+"""
+
+import csv
+import gzip
+import io
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import DataError
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.files.columns import require, understand
+from motorlens_runtime.files.decimal_text import read
+
+Array = NDArray[np.float64]
+
+_BLOCK_BYTES = 3 << 16
+# From this size on, a library that reads faster is worth the time it takes to load.
+_LARGE_BYTES = 1 << 22
+_MAX_LINE_BYTES = 1 << 20
+_MAX_TIME_S = 9e9  # int64 nanoseconds end there
+
+
+@dataclass(frozen=True)
+class Block:
+    """Samples, and the row of the file (the heading is row 1) in which each stands."""
+
+    samples: Samples
+    first_row: int
+    position: int
+
+
+class CsvStream:
+    """An open recording.
+
+    Args:
+        path: a CSV file, `.gz` or not; separated by comma, semicolon or tab.
+        mapping: the user's own column names, see `columns.parse_mapping`.
+        ambient_C: the ambient temperature, for a file without that column.
+
+    Raises:
+        DataError: the file is absent or empty, or lacks time, voltage or current.
+    """
+
+    def __init__(self, path: str | Path, mapping: Mapping[str, str], ambient_C: float | None = None) -> None:
+        self.name = str(path)
+        self._ambient_C = ambient_C
+        self._file, self._raw = _open(path)
+        self.size = Path(path).stat().st_size
+        self._large = self.size > _LARGE_BYTES
+        try:
+            self._read_heading(mapping)
+        except DataError:
+            self.close()
+            raise
+        self._row = 2
+        self._last_ns: int | None = None
+        self.duplicates = 0
+        self.notes: list[str] = []
+
+    def _read_heading(self, mapping: Mapping[str, str]) -> None:
+        heading = self._line()
+        if not heading.strip():
+            raise DataError(
+                f"{self.name}: the file is empty; a recording has a heading line and one row per sample"
+            )
+        self._separator = max((b",", b";", b"\t"), key=heading.count)
+        self.headings = _cells(heading, self._separator)
+        self.columns = understand(self.headings, mapping, self.name)
+        require(self.columns, ("time", "voltage", "current"), self.headings, self.name)
+        # Written by the live recorder: what the line knew of each sample.
+        self._flags_at = self.headings.index("link_flags") if "link_flags" in self.headings else None
+        self._used = {
+            column.index: column.heading
+            for quantity, column in self.columns.items()
+            if quantity in ("time", "voltage", "current", "ambient")
+        }
+        if self._flags_at is not None:
+            self._used[self._flags_at] = "link_flags"
+
+    def __iter__(self) -> Iterator[Block]:
+        """All blocks, in order. Raises DataError where a cell is no number or time runs backwards."""
+        rest = b""
+        while True:
+            data = self._read(_BLOCK_BYTES)
+            if not data:
+                break
+            data = rest + data
+            cut = data.rfind(b"\n") + 1
+            if not cut and len(data) > _MAX_LINE_BYTES:
+                raise DataError(
+                    f"{self.name}: row {self._row}: longer than {_MAX_LINE_BYTES} bytes; not a CSV file"
+                )
+            rest = data[cut:]
+            if cut:
+                yield from self._block(data[:cut])
+        if rest.strip():
+            if rest.count(self._separator) < len(self.headings) - 1:
+                # A recorder that was killed leaves half a line; what it wrote before is good.
+                self.notes.append(f"row {self._row} is cut short and was left out")
+            else:
+                yield from self._block(rest + b"\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        self._raw.close()
+
+    def _block(self, text: bytes) -> Iterator[Block]:
+        if b"\r" in text:
+            text = text.replace(b"\r\n", b"\n")
+        table = _by_arrow(text, len(self.headings), self._used, self._separator) if self._large else None
+        if table is None:
+            table = _fast(text, len(self.headings), self._separator)
+        rows = None
+        if table is None:
+            table, rows = self._careful(text)
+        first_row, lines = self._row, text.count(b"\n")
+        self._row += lines
+        if not len(table):
+            return
+        numbers = rows if rows is not None else np.arange(first_row, first_row + lines)
+        time_ns = self._time(table, numbers)
+        voltage, current = self._channel(table, "voltage"), self._channel(table, "current")
+        if "ambient" in self.columns:
+            ambient: Array | None = self._channel(table, "ambient")
+        else:
+            ambient = None if self._ambient_C is None else np.full(len(time_ns), self._ambient_C)
+        flags = None
+        if self._flags_at is not None:
+            flags = (
+                np.nan_to_num(table[:, self._flags_at], posinf=0.0, neginf=0.0)
+                .astype(np.int64)
+                .astype(np.uint32)
+            )
+        yield Block(Samples(time_ns, voltage, current, ambient, flags), first_row, self._raw.tell())
+
+    def _channel(self, table: Array, quantity: str) -> Array:
+        column = self.columns[quantity]
+        values = table[:, column.index]
+        if (column.factor, column.offset) == (1, 0):
+            return np.ascontiguousarray(values)
+        return values * column.factor + column.offset
+
+    def _time(self, table: Array, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        column = self.columns["time"]
+        time_s = self._channel(table, "time")
+        bad = ~(np.abs(time_s) < _MAX_TIME_S)
+        if bad.any():
+            at = int(np.argmax(bad))
+            raise DataError(
+                f"{self.name}: row {rows[at]}, column {column.heading!r}: {table[at, column.index]} is no time; "
+                "correct or remove the row"
+            )
+        time_ns = np.round(time_s * 1e9).astype(np.int64)
+        steps = np.diff(time_ns, prepend=time_ns[0] if self._last_ns is None else self._last_ns)
+        if (steps < 0).any():
+            at = int(np.argmax(steps < 0))
+            raise DataError(
+                f"{self.name}: row {rows[at]}, column {column.heading!r}: time runs backwards by {-steps[at] * 1e-9:g} s; "
+                "sort the file, or split it where the recorder restarted"
+            )
+        self.duplicates += int((steps == 0).sum()) - (self._last_ns is None)
+        self._last_ns = int(time_ns[-1])
+        return time_ns
+
+    def _careful(self, text: bytes) -> tuple[Array, NDArray[np.int64]]:
+        """Cell by cell; only the columns that are used."""
+        names, used = self._used, sorted(self._used)
+        values, rows = [], []
+        for row, line in enumerate(text.split(b"\n")[:-1], start=self._row):
+            if not line.strip():
+                continue
+            cells = _cells(line, self._separator)
+            if len(cells) <= used[-1]:
+                raise DataError(
+                    f"{self.name}: row {row}: {len(cells)} cells where the heading has {len(self.headings)}; "
+                    "complete or remove the row"
+                )
+            values.append([self._number(cells[index], names[index], row) for index in used])
+            rows.append(row)
+        table = np.full((len(values), len(self.headings)), np.nan)
+        table[:, used] = np.array(values).reshape(len(values), len(used))
+        return table, np.array(rows, dtype=np.int64)
+
+    def _number(self, cell: str, heading: str, row: int) -> float:
+        try:
+            if "_" in cell:
+                raise ValueError
+            return float(cell) if cell.strip() else float("nan")
+        except ValueError:
+            raise DataError(
+                f"{self.name}: row {row}, column {heading!r}: {cell[:40]!r} is not a number; "
+                "correct it, or leave the cell empty"
+            ) from None
+
+    def _read(self, size: int) -> bytes:
+        try:
+            return self._file.read(size)
+        except (EOFError, gzip.BadGzipFile, OSError) as error:
+            raise DataError(
+                f"{self.name}: row {self._row}: the compressed file is damaged or cut short ({error})"
+            ) from None
+
+    def _line(self) -> bytes:
+        try:
+            return self._file.readline(_MAX_LINE_BYTES)
+        except (EOFError, gzip.BadGzipFile, OSError) as error:
+            raise DataError(f"{self.name}: not readable: {error}") from None
+
+
+def period_of(samples: Samples, otherwise_s: float) -> float:
+    """The usual time between samples: the median of the first steps that are not zero."""
+    steps = np.diff(samples.time_ns[:4096])
+    steps = steps[steps > 0]
+    return float(np.median(steps)) * 1e-9 if len(steps) else otherwise_s
+
+
+def _open(path: str | Path) -> tuple[IO[bytes], IO[bytes]]:
+    try:
+        raw = Path(path).open("rb")
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from None
+    magic = raw.read(2)
+    raw.seek(0)
+    return (io.BufferedReader(gzip.GzipFile(fileobj=raw)), raw) if magic == b"\x1f\x8b" else (raw, raw)
+
+
+def _cells(line: bytes, separator: bytes) -> list[str]:
+    text = line.decode("utf-8-sig", errors="replace").strip("\r\n")
+    if '"' in text:
+        return next(csv.reader([text], delimiter=separator.decode()))
+    return [cell.strip() for cell in text.split(separator.decode())]
+
+
+def _by_arrow(text: bytes, columns: int, used: Iterable[int], separator: bytes) -> Array | None:
+    """The used columns (the others are NaN) read by pyarrow, where it is installed and every cell is a number; else None."""
+    try:
+        import pyarrow as pa
+        from pyarrow import csv as arrow_csv
+    except ModuleNotFoundError:
+        return None
+    names = [str(column) for column in used]
+    try:
+        found = arrow_csv.read_csv(
+            pa.BufferReader(text),
+            read_options=arrow_csv.ReadOptions(
+                use_threads=False, block_size=len(text) + 1, column_names=[str(k) for k in range(columns)]
+            ),
+            parse_options=arrow_csv.ParseOptions(delimiter=separator.decode(), quote_char=False),
+            convert_options=arrow_csv.ConvertOptions(
+                include_columns=names, column_types=dict.fromkeys(names, pa.float64()), null_values=[]
+            ),
+        )
+    except pa.ArrowInvalid:
+        return None
+    if len(found) != text.count(b"\n"):
+        return None
+    table = np.full((columns, len(found)), np.nan)
+    for name in names:
+        # Not by `to_numpy`, which imports pandas wherever that is installed: 40 MB.
+        chunks = found[name].chunks
+        pieces = [np.frombuffer(c.buffers()[1])[c.offset : c.offset + len(c)] for c in chunks]
+        np.concatenate(pieces, out=table[int(name)])
+    return table.T
+
+
+def _fast(text: bytes, columns: int, separator: bytes) -> Array | None:
+    """All cells as numbers (rows, columns), or None if any is not one or a row has another number of cells."""
+    raw = np.frombuffer(text, dtype=np.uint8)
+    ends = raw == 10
+    marks = np.flatnonzero(ends | (raw == separator[0]))
+    if len(marks) % columns:
+        return None
+    grid = ends[marks].reshape(-1, columns)
+    if not grid[:, -1].all() or grid[:, :-1].any():
+        return None
+    plain = read(raw, marks)
+    if plain is not None:
+        return plain.reshape(-1, columns)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            values = np.fromstring(
+                text[:-1].replace(b"\n", separator), dtype=np.float64, sep=separator.decode()
+            )
+        except (ValueError, DeprecationWarning):
+            return None
+    return values.reshape(-1, columns) if len(values) == len(marks) else None

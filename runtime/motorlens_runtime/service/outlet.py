@@ -1,0 +1,243 @@
+"""A publisher behind a bounded queue and a thread of its own: slow or dead, it never delays the estimator.
+
+What does not fit is dropped, oldest first, and counted. An error of the publisher is counted and it is tried again with
+the next rows.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import DataError
+from motorlens_runtime.estimate.estimator import Estimates
+from motorlens_runtime.publish import Header, open_publisher
+
+Event = dict[str, Any]
+
+_MAX_ROWS = 1 << 16
+_FLUSH_S = 0.2
+_FIRST, _NONE = np.zeros(1, dtype=np.intp), np.zeros(0, dtype=np.intp)
+
+
+class Grid:
+    """Picks the first row at or after each instant of a fixed rate; a rate of 0 picks every row."""
+
+    def __init__(self, rate_Hz: float) -> None:
+        self._period_ns = round(1e9 / rate_Hz) if rate_Hz > 0 else 0
+        self._last: int | None = None
+
+    def rows(self, time_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Indices of the rows that are due."""
+        if not self._period_ns or not len(time_ns):
+            return np.arange(len(time_ns))
+        first, last = int(time_ns[0]) // self._period_ns, int(time_ns[-1]) // self._period_ns
+        before, self._last = self._last, last
+        if first == last:
+            return _FIRST if first != before else _NONE
+        ticks = time_ns // self._period_ns
+        new = np.empty(len(ticks), dtype=bool)
+        new[0] = first != before
+        np.not_equal(ticks[1:], ticks[:-1], out=new[1:])
+        return np.flatnonzero(new)
+
+
+def rows_of(estimates: Estimates, rows: NDArray[np.intp]) -> Estimates:
+    """The chosen rows."""
+    return Estimates(
+        estimates.time_ns[rows], estimates.values[rows], estimates.sigma[rows], estimates.quality[rows]
+    )
+
+
+@dataclass(frozen=True)
+class OutletReport:
+    """What became of the rows that a publisher was given."""
+
+    url: str
+    published: int
+    dropped: int
+    errors: int
+    last_error: str | None
+
+
+class Outlet:
+    """One `--publish URL` with its options `rate` (rows per second) and `decimate` (`last` or `mean`).
+
+    Raises:
+        DataError, DeviceError, OSError: it cannot be opened.
+    """
+
+    def __init__(self, url: str, header: Header) -> None:
+        options = dict(parse_qsl(urlsplit(url).query))
+        self._url = url
+        self._grid = Grid(_rate(url, options.get("rate", "0")))
+        self._reduce = _reducer(url, options.get("decimate", "last"), options.get("rate"))
+        self._publisher = open_publisher(url, header)
+        self._queue: deque[Estimates | Event] = deque()
+        self._tell: Callable[[Event], None] | None = getattr(self._publisher, "event", None)
+        self._tell_counts: Callable[[Event], None] | None = getattr(self._publisher, "counts", None)
+        self._counts: Event | None = None
+        self._rows_waiting = 0
+        self._wake = threading.Condition()
+        self._closing = threading.Event()
+        self._gather_s = float(getattr(self._publisher, "gather_s", 0.0))
+        self._published = self._dropped = self._errors = 0
+        self._last_error: str | None = None
+        self.dead = False
+        self._thread = threading.Thread(target=self._work, name=url, daemon=True)
+        self._thread.start()
+
+    def put(self, estimates: Estimates) -> None:
+        """Hand over rows; returns at once."""
+        estimates = self._reduce(self._grid, estimates)
+        if not len(estimates) or self.dead:
+            return
+        self._put(estimates)
+
+    def put_event(self, event: Event) -> None:
+        """Hand over an event, to a publisher that has a word for it; returns at once."""
+        if self._tell is not None and not self.dead:
+            self._put(event)
+
+    def put_counts(self, counts: Event) -> None:
+        """Hand over what the service counts, see `Service.counts`, to a publisher that shows it; only the newest waits."""
+        if self._tell_counts is not None and not self.dead:
+            with self._wake:
+                self._counts = counts
+                self._wake.notify()
+
+    def close(self, patience_s: float = 2.0) -> None:
+        """Publish what waits, for `patience_s` at most, and finish."""
+        self._closing.set()
+        with self._wake:
+            self._wake.notify()
+        self._thread.join(patience_s)
+        if self._thread.is_alive():
+            with self._wake:
+                self._dropped += self._rows_waiting
+                self._last_error = f"did not take its last {self._rows_waiting} rows within {patience_s:g} s"
+
+    def report(self) -> OutletReport:
+        """See `OutletReport`."""
+        # Some publishers cannot send at once what they are given, and count that themselves.
+        dropped = self._dropped + int(getattr(self._publisher, "dropped", 0))
+        return OutletReport(self._url, self._published, dropped, self._errors, self._last_error)
+
+    def _put(self, item: Estimates | Event) -> None:
+        with self._wake:
+            self._queue.append(item)
+            self._rows_waiting += _rows(item)
+            while self._rows_waiting > _MAX_ROWS and len(self._queue) > 1:
+                lost = _rows(self._queue.popleft())
+                self._rows_waiting -= lost
+                self._dropped += lost
+            self._wake.notify()
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                while not self._queue and not self._closing.is_set() and self._counts is None:
+                    if not self._wake.wait(_FLUSH_S):
+                        break
+                batch, self._queue = list(self._queue), deque()
+                self._rows_waiting = 0
+                counts, self._counts = self._counts, None
+                finish = self._closing.is_set()
+            for item in batch:
+                if isinstance(item, Estimates):
+                    self._attempt(self._publisher.publish, item)
+                elif self._tell is not None:
+                    self._attempt(self._tell, item)
+            if counts is not None and self._tell_counts is not None:
+                self._attempt(partial(self._tell_counts, counts))
+            self._attempt(self._publisher.flush)
+            if finish and not self._queue:
+                self._finish()
+                return
+            if self._gather_s:
+                self._closing.wait(
+                    self._gather_s
+                )  # nobody waits for `_wake` meanwhile, so that no row wakes this thread
+
+    def _attempt(self, action: Callable[..., None], *arguments: Estimates | Event) -> None:
+        if self.dead:
+            return
+        try:
+            action(*arguments)
+            self._published += sum(map(_rows, arguments))
+        except BrokenPipeError as error:
+            self.dead = True  # the reader has gone for good
+            self._note(error, arguments)
+        except Exception as error:  # whatever a publisher's library raises must not end the service
+            self._note(error, arguments)
+
+    def _finish(self) -> None:
+        try:
+            self._publisher.close()
+        except Exception as error:  # that a reader has gone was noted when it went
+            if not self.dead:
+                self._note(error, ())
+
+    def _note(self, error: Exception, arguments: tuple[Estimates | Event, ...]) -> None:
+        self._errors += 1
+        self._dropped += sum(map(_rows, arguments))
+        self._last_error = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+
+
+def _rows(item: Estimates | Event) -> int:
+    return len(item) if isinstance(item, Estimates) else 1
+
+
+def _rate(url: str, text: str) -> float:
+    try:
+        rate = float(text)
+        if not 0 <= rate < 1e9:
+            raise ValueError
+    except ValueError:
+        raise DataError(f"--publish {url}: rate={text} is not a rate in rows per second") from None
+    return rate
+
+
+def _reducer(url: str, name: str, rate: str | None) -> Callable[[Grid, Estimates], Estimates]:
+    if name == "last" or rate is None:
+        return lambda grid, estimates: rows_of(estimates, grid.rows(estimates.time_ns))
+    if name == "mean":
+        return _Mean()
+    raise DataError(f"--publish {url}: decimate={name}; known: last, mean")
+
+
+class _Mean:
+    """Means over the rows since the previous published one: values and sigmas averaged, reasons joined."""
+
+    def __init__(self) -> None:
+        self._held: list[Estimates] = []
+
+    def __call__(self, grid: Grid, estimates: Estimates) -> Estimates:
+        picked = grid.rows(estimates.time_ns)
+        means = []
+        start = 0
+        for end in (picked + 1).tolist():
+            rows = [*self._held, rows_of(estimates, np.arange(start, end))]
+            means.append(_mean(rows))
+            self._held, start = [], end
+        if start < len(estimates):
+            self._held.append(rows_of(estimates, np.arange(start, len(estimates))))
+        fields = Estimates.__dataclass_fields__
+        if not means:
+            return rows_of(estimates, np.zeros(0, dtype=np.intp))
+        return Estimates(*(np.concatenate([getattr(mean, name) for mean in means]) for name in fields))
+
+
+def _mean(parts: list[Estimates]) -> Estimates:
+    return Estimates(
+        parts[-1].time_ns[-1:],
+        np.concatenate([part.values for part in parts]).mean(axis=0, keepdims=True),
+        np.concatenate([part.sigma for part in parts]).mean(axis=0, keepdims=True),
+        np.bitwise_or.reduce(np.concatenate([part.quality for part in parts]), keepdims=True),
+    )

@@ -1,0 +1,259 @@
+"""The hot loop: samples when they come, every one into the state, an estimate at each publishing instant.
+
+Driven by data, in blocks as large as what has arrived; no tick of the host. When nothing comes, the last estimate is
+published on, marked stale.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_runtime.estimate.estimator import Estimates, Estimator, EstimatorState
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.line.feed import Feed
+from motorlens_runtime.sensor.sensor import Sensor
+from motorlens_runtime.service.alarms import Watch
+from motorlens_runtime.service.memory import Memory
+from motorlens_runtime.service.outlet import Grid, Outlet
+from motorlens_runtime.service.recorder import Recorder
+from motorlens_runtime.service.swap import Swap
+
+_WAIT_S = 0.05
+# The stream may lie this far behind its own best before the PC counts as too slow.
+_BEHIND_NS = 250_000_000
+# A device's clock may drift this much against ours; the best is forgotten at this pace.
+_DRIFT = 5e-4
+_LATENCIES = 1 << 16
+# How much longer than its duration a live stream may take, from opening the port to its first sample.
+_GRACE_NS = 1_000_000_000
+_COUNT_EVERY_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Settings:
+    """`rate_Hz` of publishing (0: every sample), `duration_s` (inf: until stopped), `stale_s` until a value is old."""
+
+    rate_Hz: float = 100.0
+    duration_s: float = float("inf")
+    stale_s: float = 0.25
+
+
+class Service:
+    """One sensor on one feed with its publishers.
+
+    Args:
+        feed, sensor, outlets, recorder: opened by the caller and closed by it.
+        settings: see `Settings`.
+        clock: nanoseconds that never run backwards.
+        state: where the estimator goes on; None is a fresh start, or what `memory` recalls.
+        watch: the alarms.
+        memory: the heat of earlier runs.
+        swap: takes a new sensor file into service.
+    """
+
+    def __init__(
+        self, feed: Feed, sensor: Sensor, outlets: Sequence[Outlet], recorder: Recorder | None, settings: Settings,
+        clock: Callable[[], int], state: EstimatorState | None = None, watch: Watch | None = None,
+        memory: Memory | None = None, swap: Swap | None = None,
+    ) -> None:  # fmt: skip
+        self._feed, self._sensor, self._outlets, self._recorder = feed, sensor, outlets, recorder
+        self._settings, self._clock, self._state = settings, clock, state
+        self._watch, self._memory, self._swap = watch, memory, swap
+        self._events: list[dict[str, Any]] = []
+        self._grid = Grid(settings.rate_Hz)
+        self._estimator: Estimator | None = None
+        self._period_s: float | None = None
+        self._samples = self._published = 0
+        self._first_ns: int | None = None
+        self._words = Counter[int]()  # how many estimates had which quality word
+        self._latency_ns = np.zeros(_LATENCIES)
+        self._started_ns = 0
+        self._blocks = 0
+        self._largest_block = 0
+        self._latest: Estimates | None = None
+        self._latest_arrival_ns = 0
+        self._stale_tick = 0
+        self._best_lag_ns: float | None = None
+        self._lag_at_ns = 0
+        self._counted_ns = 0
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Until `stop()`, the end of the feed or the duration. Raises what the feed raises."""
+        self._started_ns = self._clock()
+        while not stop() and not self._finished():
+            samples = self._feed.read(_WAIT_S)
+            if samples is None:
+                return
+            if len(samples):
+                self.take(samples)
+            else:
+                self._stale()
+            if self._clock() - self._counted_ns >= _COUNT_EVERY_NS:
+                self._count()
+            if self._outlets and all([outlet.dead for outlet in self._outlets]):
+                return
+
+    def take(self, samples: Samples) -> None:
+        """Samples into the state, estimates to the outlets."""
+        arrival_ns = self._feed.arrival_ns
+        estimator = self._current_estimator()
+        samples = self._judge_lag(samples, arrival_ns)
+        if self._memory is not None:
+            samples = self._memory.mark(samples)
+        if self._recorder is not None:
+            self._recorder.put(samples)
+        if self._first_ns is None:
+            self._first_ns = int(samples.time_ns[0])
+        rows = self._grid.rows(samples.time_ns)
+        estimates = estimator.push(samples, rows)
+        if self._swap is not None:
+            estimator, estimates = self._follow(self._swap, estimator, samples, rows, estimates)
+        self._samples += len(samples)
+        self._largest_block = max(self._largest_block, len(samples))
+        self._latest_arrival_ns = arrival_ns
+        if len(estimates):
+            self._latest = estimates
+            self._hand_out(estimates)
+        if self._memory is not None:
+            self._memory.keep(estimator.state, self._feed.device, arrival_ns)
+        self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
+        self._blocks += 1
+
+    def counts(self) -> dict[str, Any]:
+        """What publishers are told once a second: samples and estimates so far, what was lost, time to each limit."""
+        feed = self._feed.report()
+        left_s = {} if self._watch is None else self._watch.time_to_limit_s()
+        return {
+            "device": self._feed.device,
+            "samples": self._samples,
+            "published": self._published,
+            "lost": feed.get("lost_samples", 0),
+            "bad_frames": feed.get("bad_frames", 0),
+            "reconnects": feed.get("reconnects", 0),
+            "time_to_limit_s": {
+                name: seconds if seconds < np.inf else None for name, seconds in left_s.items()
+            },
+        }
+
+    def report(self) -> dict[str, Any]:
+        """Counters and latencies; `latency_us` is from the arrival of a block to its estimates being handed out."""
+        latencies = self._latency_ns[: min(self._blocks, _LATENCIES)] / 1000
+        shares = {"p50": 50, "p99": 99, "p999": 99.9, "max": 100}
+        feed = self._feed.report()
+        flagged = {
+            bit.name.lower(): sum(times for word, times in self._words.items() if word & bit)
+            for bit in Quality
+            if bit.name
+        }
+        return {
+            "schema": "motorlens.run/1",
+            "device": self._feed.device,
+            "samples": self._samples,
+            "lost": feed.get("lost_samples", 0),
+            "published": self._published,
+            "bridged": flagged["bridged"],
+            "largest_block": self._largest_block,
+            "latency_us": {k: float(np.percentile(latencies, q)) for k, q in shares.items()}
+            if len(latencies)
+            else None,
+            "quality": {name: count for name, count in flagged.items() if count},
+            "feed": feed,
+            "events": self._events,
+            "memory": None if self._memory is None else self._memory.report(),
+            "outlets": [vars(outlet.report()) for outlet in self._outlets],
+        }
+
+    @property
+    def estimator(self) -> Estimator | None:
+        """The estimator, None before the first sample."""
+        return self._estimator
+
+    def _current_estimator(self) -> Estimator:
+        """The estimator; a new one with the old state when the device has changed its rate."""
+        period_s = self._feed.period_s or 1 / self._sensor.specification.rate_Hz
+        if self._estimator is None or period_s != self._period_s:
+            state = self._state if self._estimator is None else self._estimator.state
+            if state is None and self._memory is not None:
+                state = self._memory.recall(self._feed.device)
+            self._estimator, self._period_s = Estimator(self._sensor, period_s, state), period_s
+        return self._estimator
+
+    def _finished(self) -> bool:
+        """Whether the stream is as long as was asked for; the host's clock ends one that falls silent."""
+        if self._settings.duration_s == np.inf:
+            return False
+        duration_ns = self._settings.duration_s * 1e9
+        gate = None if self._estimator is None else self._estimator.state.gate
+        if gate is None or gate.last_ns is None or self._first_ns is None or self._period_s is None:
+            return self._clock() - self._started_ns >= duration_ns
+        if gate.last_ns - self._first_ns + self._period_s * 1e9 >= duration_ns:
+            return True
+        return self._clock() - self._started_ns >= duration_ns + _GRACE_NS
+
+    def _hand_out(self, estimates: Estimates) -> None:
+        self._published += len(estimates)
+        for word in estimates.quality.tolist():
+            self._words[word] += 1
+        for outlet in self._outlets:
+            outlet.put(estimates)
+        if self._watch is not None:
+            for event in self._watch.look(estimates):
+                self._tell(event.document())
+
+    def _tell(self, document: dict[str, Any]) -> None:
+        """An event to all publishers and into the report."""
+        self._events = [*self._events[-99:], document]
+        for outlet in self._outlets:
+            outlet.put_event(document)
+
+    def _follow(
+        self, swap: Swap, estimator: Estimator, samples: Samples, rows: NDArray[np.intp], estimates: Estimates
+    ) -> tuple[Estimator, Estimates]:
+        assert self._period_s is not None
+        following, estimates = swap.follow(estimator, self._period_s, samples, rows, estimates)
+        while swap.events:
+            self._tell(swap.events.popleft())
+        if following is not estimator:
+            self._estimator, self._sensor = following, following.sensor
+            if self._memory is not None:
+                self._memory.follow(following.sensor)
+        return following, estimates
+
+    def _count(self) -> None:
+        self._counted_ns = self._clock()
+        counts = self.counts()
+        for outlet in self._outlets:
+            outlet.put_counts(counts)
+
+    def _stale(self) -> None:
+        """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale."""
+        silence_ns = self._clock() - self._latest_arrival_ns
+        if self._latest is None or silence_ns < self._settings.stale_s * 1e9:
+            self._stale_tick = 0
+            return
+        rate = min(self._settings.rate_Hz, 10.0) if self._settings.rate_Hz > 0 else 10.0
+        tick = int(silence_ns * 1e-9 * rate)
+        if tick == self._stale_tick:
+            return
+        self._stale_tick = tick
+        last = self._latest
+        row = slice(len(last) - 1, len(last))
+        quality = last.quality[row] | np.uint32(Quality.STALE)
+        self._hand_out(Estimates(last.time_ns[row] + silence_ns, last.values[row], last.sigma[row], quality))
+
+    def _judge_lag(self, samples: Samples, arrival_ns: int) -> Samples:
+        """Mark samples that come later than the stream has shown it can."""
+        lag_ns = arrival_ns - int(samples.time_ns[-1])
+        forgotten = _DRIFT * (arrival_ns - self._lag_at_ns)
+        self._lag_at_ns = arrival_ns
+        best = lag_ns if self._best_lag_ns is None else min(self._best_lag_ns + forgotten, lag_ns)
+        self._best_lag_ns = best
+        if lag_ns - best < _BEHIND_NS:
+            return samples
+        flags = np.zeros(len(samples), dtype=np.uint32) if samples.flags is None else samples.flags
+        return replace(samples, flags=flags | np.uint32(Quality.OVERLOAD))
