@@ -15,6 +15,7 @@ import threading
 import time
 
 import pytest
+from helpers.processes import MOTORLENS, Program, eventually
 from helpers.sensor_files import write_sensor
 from helpers.wire_device import WireDevice
 
@@ -93,34 +94,19 @@ def test_publishing_at_a_rate_gives_rows_of_the_full_output(here):
     assert live == [replay[0], *replay[1::20]]
 
 
-def test_signals_end_it_cleanly_with_a_summary(here):
-    for number in (signal.SIGINT, signal.SIGTERM):
-        with WireDevice(1000, 10, count=100_000, paced=True) as device:
-            command = [
-                "run",
-                "--source",
-                device.path,
-                "--sensor",
-                "s.onnx",
-                "--publish",
-                "csv:live.csv",
-                "--json",
-                "report.json",
-            ]
-            process = subprocess.Popen(
-                [sys.executable, "-m", "motorlens_runtime", *command], stderr=subprocess.PIPE, text=True
-            )
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_it_cleanly_with_a_summary(here, number):
+    command = ["--sensor", "s.onnx", "--publish", "csv:live.csv", "--json", "report.json"]
+    with WireDevice(1000, 10, count=100_000, paced=True) as device:
+        with Program([*MOTORLENS, "run", "--source", device.path, *command]) as program:
             device.start_when_open()
-            while not (os.path.exists("live.csv") and len(lines("live.csv")) > 20):
-                time.sleep(0.05)
-            process.send_signal(number)
-            _, error = process.communicate(timeout=20)
-        assert process.returncode == 0, error
-        assert re.search(r"motorlens run: \d+ samples from bench .* 0 lost", error)
-        result = report()
-        assert result["samples"] > 200 and result["published"] == len(lines("live.csv")) - 1
-        assert lines("live.csv")[-1].count(",") == 7
-        os.unlink("live.csv")
+            eventually(lambda: os.path.exists("live.csv") and len(lines("live.csv")) > 20, "20 rows", program)
+            program.send(number)
+            assert program.ended() == 0, program.told()
+    assert re.search(r"motorlens run: \d+ samples from bench .* 0 lost", program.error)
+    result = report()
+    assert result["samples"] > 200 and result["published"] == len(lines("live.csv")) - 1
+    assert lines("live.csv")[-1].count(",") == 7
 
 
 def test_an_unplugged_device_is_taken_up_again_where_it_was(here):
