@@ -4,41 +4,31 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.processes import MOTORLENS, Program, eventually, ran
 from helpers.sensor_files import make_spec, write_sensor
 
 from motorlens_firmware_sim.bench import Setup, prepare
 from motorlens_firmware_sim.sim_source import SimulatedLine
 from motorlens_firmware_sim.telemetry import Sending
 from motorlens_physics.recording import read_recording
+from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.quality import Quality
 
 ROOT = Path(__file__).resolve().parents[2]
-MOTORLENS = [sys.executable, "-c", "import sys; from motorlens_runtime.cli import main; sys.exit(main())"]
 
 
-def start(*arguments: object) -> subprocess.Popen[str]:
-    command = [*MOTORLENS, *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+def start(*arguments: object) -> Program:
+    return Program([*MOTORLENS, *arguments], cwd=ROOT)
 
 
-def ended(process: subprocess.Popen[str]) -> str:
-    """Wait for the end; returns what was said on standard error."""
-    _, said = process.communicate(timeout=120)
-    return said
-
-
-def drive_port(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    port = process.stdout.readline().strip()
-    assert port.startswith("/dev/pts/"), process.communicate(timeout=10)
+def drive_port(drive: Program) -> str:
+    port = drive.line()
+    assert port.startswith("/dev/pts/"), drive.told()
     return port
 
 
@@ -52,27 +42,26 @@ def sensor(tmp_path: Path) -> Path:
 def test_every_sample_is_accounted_for_and_live_equals_infer(tmp_path: Path, sensor: Path) -> None:
     samples, live, replayed = tmp_path / "samples.csv", tmp_path / "live.csv", tmp_path / "replayed.csv"
     setup = ["--duration", "20", "--rate", "1000", "--seed", "3"]
-    drive = start(
+    with start(
         "drive", *setup, "--speedup", "5", "--truth", tmp_path / "truth.csv", "--json", tmp_path / "sent.json"
-    )
-    port = drive_port(drive)
-    live_run = start(
-        "run", "--source", f"pty://{port}", "--sensor", sensor, "--publish", f"csv:{live}", "--rate", "0",
-        "--record", samples, "--reconnect", "0", "--json", tmp_path / "run.json",
-    )  # fmt: skip
-    drive_said, run_said = ended(drive), ended(live_run)
+    ) as drive:
+        with start(
+            "run", "--source", f"pty://{drive_port(drive)}", "--sensor", sensor, "--publish", f"csv:{live}", "--rate", "0",
+            "--record", samples, "--reconnect", "0", "--json", tmp_path / "run.json",
+        ) as run:  # fmt: skip
+            drive.ended()
+            run.ended()
     sent = json.loads((tmp_path / "sent.json").read_text())
-    assert (sent["sent"], sent["lost"]) == (20_001, 0), drive_said
+    assert (sent["sent"], sent["lost"]) == (20_001, 0), drive.told()
     # What came in is what the drive digitised, code by code.
     bench = prepare(Setup(duration_s=20.0, rate_Hz=1000, seed=3))
     recorded = read_recording(samples)
-    assert len(recorded) == 20_001, run_said
+    assert len(recorded) == 20_001, run.told()
     np.testing.assert_allclose(np.diff(recorded.time_s), 1e-3, rtol=1e-9)
     for column, channel, adc in ((0, "voltage", bench.drive.voltage), (1, "current", bench.drive.current)):
         np.testing.assert_array_equal(np.rint(recorded.channels[channel] / adc.step), bench.codes[:, column])
     # Live and recorded estimates are the same to the last digit written.
-    infer = start("infer", samples, "--sensor", sensor, "-o", replayed)
-    assert ended(infer).count("Traceback") == 0 and infer.returncode == 0
+    assert main(["infer", *map(str, (samples, "--sensor", sensor, "-o", replayed))]) == 0
     with live.open() as one, replayed.open() as other:
         # After the last sample the line is silent for a moment, and the runtime says so with stale rows.
         a = [row for row in csv.DictReader(one) if not int(row["quality"]) & Quality.STALE]
@@ -92,47 +81,38 @@ def test_every_sample_is_accounted_for_and_live_equals_infer(tmp_path: Path, sen
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_both_sides_in_order(tmp_path: Path, sensor: Path, end: signal.Signals) -> None:
-    drive = start("drive", "--duration", "600", "--rate", "500", "--link", tmp_path / "port")
-    drive_port(drive)
     live = tmp_path / "live.jsonl"
-    run = start(
-        "run", "--source", tmp_path / "port", "--sensor", sensor, "--publish", f"jsonl:{live}", "--rate", "20"
-    )
-    deadline = time.monotonic() + 60
-    while (not live.exists() or live.stat().st_size < 2000) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    run.send_signal(end)
-    said = ended(run)
-    assert run.returncode == 0, said
-    assert "0 lost" in said
-    rows = [json.loads(line) for line in live.read_text().splitlines()]
-    assert len(rows) >= 5
-    # The drive notices that nobody listens any more.
-    assert "0 lost on the line" in ended(drive)
-    assert drive.returncode == 0
+    with start("drive", "--duration", "600", "--rate", "500", "--link", tmp_path / "port") as drive:
+        drive_port(drive)
+        publish = ["--publish", f"jsonl:{live}", "--rate", "20"]
+        with start("run", "--source", tmp_path / "port", "--sensor", sensor, *publish) as run:
+            eventually(lambda: live.exists() and live.stat().st_size > 2000, "estimates", run, drive)
+            run.send(end)
+            assert run.ended() == 0, run.told()
+        assert "0 lost" in run.error
+        rows = [json.loads(line) for line in live.read_text().splitlines()]
+        assert len(rows) >= 5
+        # The drive notices that nobody listens any more.
+        assert drive.ended() == 0, drive.told()
+    assert "0 lost on the line" in drive.error
     assert not os.path.lexists(tmp_path / "port")
 
 
 def test_a_port_that_is_not_there_or_taken_gets_one_line(tmp_path: Path, sensor: Path) -> None:
-    absent = start("run", "--source", "/dev/pts/99999", "--sensor", sensor, "--reconnect", "0")
-    said = ended(absent)
-    assert absent.returncode == 1
-    assert "/dev/pts/99999" in said and said.count("\n") == 1
-    drive = start("drive", "--duration", "600", "--rate", "100")
-    port = drive_port(drive)
-    first = start(
-        "run", "--source", f"pty://{port}", "--sensor", sensor, "--publish", f"csv:{tmp_path / 'a.csv'}"
-    )
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "a.csv").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    second = start("run", "--source", f"pty://{port}", "--sensor", sensor, "--reconnect", "0")
-    said = ended(second)
-    assert second.returncode == 1
-    assert port in said and str(first.pid) in said and said.count("\n") == 1
-    for process in (first, drive):
-        process.terminate()
-        ended(process)
+    done = ran([*MOTORLENS, "run", "--source", "/dev/pts/99999", "--sensor", sensor, "--reconnect", "0"])
+    assert done.returncode == 1
+    assert "/dev/pts/99999" in done.stderr and done.stderr.count("\n") == 1
+    rows = tmp_path / "a.csv"
+    with start("drive", "--duration", "600", "--rate", "100") as drive:
+        port = drive_port(drive)
+        source = ["run", "--source", f"pty://{port}", "--sensor", sensor]
+        with start(*source, "--publish", f"csv:{rows}") as first:
+            # A row shows that the line is open; the file itself only that the publisher is.
+            eventually(lambda: rows.exists() and rows.read_text().count("\n") > 1, "a row", first, drive)
+            second = ran([*MOTORLENS, *source, "--reconnect", "0"])
+            assert second.returncode == 1
+            assert port in second.stderr and str(first.pid) in second.stderr
+            assert second.stderr.count("\n") == 1
 
 
 def test_the_simulated_line_hands_over_what_is_due_and_no_more() -> None:

@@ -39,6 +39,22 @@ def eventually(
         time.sleep(0.02)
 
 
+def ran(
+    command: Sequence[object],
+    cwd: Path | str | None = None,
+    env: Mapping[str, str] | None = None,
+    seconds: float = LIMIT_S,
+) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, whatever its status; what it says is text.
+
+    Raises:
+        AssertionError: it did not end within `seconds`; with what it said until then.
+    """
+    with Program(command, cwd, env) as program:
+        status = program.ended(seconds)
+    return subprocess.CompletedProcess(program.command, status, program.out, program.error)
+
+
 class Program:
     """A process of its own group whose words are read as they come. Leaving the `with` block ends the whole group."""
 
@@ -95,7 +111,9 @@ class Program:
     def told(self) -> str:
         """Everything there is to know about it, for a message."""
         state = "runs" if self.returncode is None else f"ended with {self.returncode}"
-        return f"{' '.join(self.command)}: {state}\nstandard output:\n{self.out}\nstandard error:\n{self.error}"
+        return (
+            f"{' '.join(self.command)}: {state}\nstandard output:\n{self.out}\nstandard error:\n{self.error}"
+        )
 
     def line(self, number: int = 0, of_error: bool = False, seconds: float = LIMIT_S) -> str:
         """A line it says, by number from 0, without its end."""

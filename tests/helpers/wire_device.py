@@ -17,6 +17,7 @@ class WireDevice:
 
     def __init__(self, rate_Hz=1000, n=10, count=100, paced=False, boot=1, seed=0):
         self.master, slave = pty.openpty()
+        os.set_blocking(self.master, False)
         tty.setraw(slave)
         self.path = os.ttyname(slave)
         os.close(slave)
@@ -63,8 +64,12 @@ class WireDevice:
                 time.sleep(max(0.0, started + (k + 1) * self.n / self.rate_Hz - time.monotonic()))
             while frame and not self.stop.is_set():
                 try:
-                    frame = frame[os.write(self.master, frame) :]
-                except OSError:
+                    # Never blocked in the kernel: a thread that is would keep the line open after `unplug`.
+                    if select.select([], [self.master], [], 0.1)[1]:
+                        frame = frame[os.write(self.master, frame) :]
+                except BlockingIOError:
+                    continue
+                except (OSError, ValueError):
                     return
             if self.stop.is_set():
                 return
@@ -93,6 +98,9 @@ class WireDevice:
     def unplug(self):
         """Pull the plug."""
         self.stop.set()
+        if self.thread.is_alive() and self.thread is not threading.current_thread():
+            # Its number must not be given to another line while the thread may still write to it.
+            self.thread.join(10.0)
         if self.master >= 0:
             os.close(self.master)
             self.master = -1

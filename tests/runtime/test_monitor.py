@@ -6,8 +6,6 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import urllib.error
@@ -15,6 +13,7 @@ import urllib.request
 
 import numpy as np
 import pytest
+from helpers.processes import MOTORLENS, Program, eventually
 from helpers.sensor_files import write_sensor
 from helpers.wire_device import WireDevice
 
@@ -84,14 +83,6 @@ def live(page, window=60, level=-1, after=0):
         gathered = found
         if not found["more"]:
             return found
-
-
-def eventually(condition, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < end, "did not come about"
-        time.sleep(0.02)
-    return found
 
 
 @pytest.fixture
@@ -231,23 +222,20 @@ def test_a_run_shows_what_its_other_publishers_write(tmp_path, monkeypatch):
     write_sensor("s.onnx")
     with WireDevice(1000, 10, count=300) as device:
         command = [
-            sys.executable, "-m", "motorlens_runtime", "monitor", "--source", f"pty://{device.path}", "--sensor", "s.onnx",
-            "--no-browser", "--publish", "jsonl:rows.jsonl?rate=20", "--alarm", "speed>-1e9",
-            "--json", "report.json",
+            *MOTORLENS, "monitor", "--source", f"pty://{device.path}", "--sensor", "s.onnx", "--no-browser",
+            "--publish", "jsonl:rows.jsonl?rate=20", "--alarm", "speed>-1e9", "--json", "report.json",
         ]  # fmt: skip
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        try:
-            url = re.search(r"http://\S+", process.stderr.readline())[0]
+        with Program(command) as program:
+            opened = type("Page", (), {"url": re.search(r"http://\S+", program.line(of_error=True))[0]})
             device.start_when_open()
-            opened = type("Page", (), {"url": url})
-            eventually(lambda: device.sent == device.count)
-            found = eventually(lambda: (f := live(opened))["counts"].get("samples") == 3000 and f)
+            eventually(lambda: device.sent == device.count, "all is sent", program)
+            found = eventually(
+                lambda: (f := live(opened))["counts"].get("samples") == 3000 and f, "3000 samples", program
+            )
             status, _ = ask(opened, "/live")
             assert status == 403
-        finally:
-            process.send_signal(signal.SIGINT)
-            said = process.communicate(timeout=30)[1]
-    assert process.returncode == 0, said
+            program.send(signal.SIGINT)
+            assert program.ended() == 0, program.told()
     with open("rows.jsonl") as file:
         written = [row for row in map(json.loads, file) if "event" not in row and row["timestamp"] < 3.0]
     assert len(written) == 60

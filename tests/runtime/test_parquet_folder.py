@@ -1,9 +1,6 @@
 """A folder of Parquet files: the rows that went in, and what a kill at any instant leaves behind."""
 
-import os
 import random
-import signal
-import subprocess
 import sys
 import textwrap
 import time
@@ -11,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.processes import Program
 
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.estimator import Estimates
@@ -118,7 +116,7 @@ def test_killed_at_random_every_part_is_readable_and_nothing_flushed_is_missing(
     folder = tmp_path / "log"
     script = f"""
         import sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        sys.path[:0] = {[str(folder) for folder in list(Path(__file__).parents)[:2]]!r}
         import test_parquet_folder as t
         publisher = t.opened({str(folder)!r}, rows=50)
         first = int(sys.argv[1])
@@ -132,11 +130,11 @@ def test_killed_at_random_every_part_is_readable_and_nothing_flushed_is_missing(
     done = 0
     for _ in range(12):
         command = [sys.executable, "-c", textwrap.dedent(script), str(done)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE)
-        process.stdout.readline()
-        time.sleep(chance.uniform(0.0, 0.02))
-        os.kill(process.pid, signal.SIGKILL)
-        flushed = [done, *(int(line) for line in process.communicate()[0].split())][-1]
+        with Program(command) as program:
+            program.line()
+            time.sleep(chance.uniform(0.0, 0.02))
+        said = [int(line) for line in program.out.splitlines(keepends=True) if line.endswith("\n")]
+        flushed = [done, *said][-1]
         parts(folder)  # what is there before anybody tidied up can be read
         opened(folder).close()
         kept = numbers(folder)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.processes import LIMIT_S, Program, eventually
 
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.estimator import Estimates
@@ -51,13 +52,6 @@ def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
-
-
-def eventually(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "did not come about"
-        time.sleep(0.01)
 
 
 def listening_addresses():
@@ -329,7 +323,7 @@ def test_mqtt_announces_a_homie_device_and_keeps_its_values(broker):
 def test_mqtt_last_will_says_lost_when_the_process_is_killed(broker):
     script = f"""
         import sys, time
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        sys.path[:0] = {[str(folder) for folder in list(Path(__file__).parents)[:2]]!r}
         import test_publishers as t
         publisher = t.open_publisher("mqtt://127.0.0.1:{broker.port}?device=m", t.HEADER)
         while True:
@@ -337,12 +331,8 @@ def test_mqtt_last_will_says_lost_when_the_process_is_killed(broker):
             time.sleep(0.05)
     """
     listener = Listener(broker.port)
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)])
-    try:
-        eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready")
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+    with Program([sys.executable, "-c", textwrap.dedent(script)]) as program:
+        eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready", "ready", program)
     eventually(lambda: listener.retained["homie/5/m/$state"] == "lost")
     listener.close()
 
@@ -356,7 +346,7 @@ def test_mqtt_without_a_broker_drops_and_counts_and_comes_back(broker):
     assert publisher.dropped == 12  # 3 rows, 6 values, 2 words of quality, 1 event
     broker.start()
     listener = Listener(broker.port)
-    eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready", 40)
+    eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready")
     # The alarm that was raised while nobody listened is told now.
     eventually(lambda: listener.retained.get("homie/5/m/$alert/too-hot") == EVENT["message"])
     publisher.publish(estimates(first=7, n=1))
@@ -420,23 +410,19 @@ def test_shared_memory_is_one_writers_and_is_taken_over_from_a_dead_one(tmp_path
     path = tmp_path / "ring"
     script = f"""
         import sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        sys.path[:0] = {[str(folder) for folder in list(Path(__file__).parents)[:2]]!r}
         import test_publishers as t
         publisher = t.columns_of({str(path)!r})
         publisher.publish(t.estimates(first=41, n=2))
         print("ready", flush=True)
         sys.stdin.read()
     """
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert process.stdout.readline() == b"ready\n"
-    reader = Reader(path)
-    assert reader.writer_pid == process.pid and reader.latest().values[0] == 42
-    with pytest.raises(DeviceError, match=f"process {process.pid} publishes there already"):
-        columns_of(path)
-    process.kill()
-    process.communicate()
+    with Program([sys.executable, "-c", textwrap.dedent(script)], stdin=subprocess.PIPE) as program:
+        assert program.line() == "ready"
+        reader = Reader(path)
+        assert reader.writer_pid == program.pid and reader.latest().values[0] == 42
+        with pytest.raises(DeviceError, match=f"process {program.pid} publishes there already"):
+            columns_of(path)
     publisher = columns_of(path)
     assert reader.replaced() and reader.latest().values[0] == 42
     assert Reader(path).latest() is None
@@ -466,15 +452,14 @@ def test_shared_memory_reader_never_sees_half_a_row(tmp_path):
             rows, _ = reader.since_last()
             assert (rows["values"].T == rows["number"]).all()
     """
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stdout=subprocess.PIPE)
-    assert process.stdout.readline() == b"ready\n"
-    number = 0
-    while process.poll() is None:
-        number += 1
-        row = np.full((1, 3), float(number))
-        writer.write(np.array([7 * number]), row, -row, np.zeros(1, dtype=np.uint32))
-    assert process.returncode == 0
-    process.stdout.close()
+    with Program([sys.executable, "-c", textwrap.dedent(script)]) as program:
+        assert program.line() == "ready"
+        number, end = 0, time.monotonic() + LIMIT_S
+        while program.returncode is None and time.monotonic() < end:
+            number += 1
+            row = np.full((1, 3), float(number))
+            writer.write(np.array([7 * number]), row, -row, np.zeros(1, dtype=np.uint32))
+        assert program.ended() == 0, program.told()
     writer.close()
 
 

@@ -15,7 +15,7 @@ import threading
 import time
 
 import pytest
-from helpers.processes import MOTORLENS, Program, eventually
+from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually, ran
 from helpers.sensor_files import write_sensor
 from helpers.wire_device import WireDevice
 
@@ -180,13 +180,12 @@ def test_a_port_that_is_taken_names_its_owner(here, capsys):
     with WireDevice() as device:
         script = f"import os, sys; os.open({device.path!r}, os.O_RDWR | os.O_NOCTTY)"
         script += "; print('open', flush=True); sys.stdin.read()"
-        other = subprocess.Popen(
-            [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
-        other.stdout.readline()
-        assert main(["run", "--sensor", "s.onnx", "--source", device.path]) == 1
-        assert re.search(rf"{device.path}: taken by process {other.pid} \(python", capsys.readouterr().err)
-        other.communicate()
+        with Program([sys.executable, "-c", script], stdin=subprocess.PIPE) as other:
+            assert other.line() == "open"
+            assert main(["run", "--sensor", "s.onnx", "--source", device.path]) == 1
+            said = capsys.readouterr().err
+            assert re.search(rf"{device.path}: taken by process {other.pid} \(python", said)
+            assert other.ended() == 0, other.told()
         mine = os.open(device.path, os.O_RDWR | os.O_NOCTTY)
         fcntl.flock(mine, fcntl.LOCK_EX)
         assert main(["run", "--sensor", "s.onnx", "--source", device.path]) == 1
@@ -294,29 +293,16 @@ def test_frames_over_tcp_and_udp_and_a_pipe(here):
     run("--source", f"udp://127.0.0.1:{port}", "--publish", "csv:b.csv", "--duration", 2)
     assert estimates("b.csv") == expected
 
-    command = [
-        sys.executable,
-        "-m",
-        "motorlens_runtime",
-        "run",
-        "--source",
-        "stdin:",
-        "--sensor",
-        "s.onnx",
-        "--publish",
-        "csv:c.csv",
-    ]
-    subprocess.run(command, input=b"".join(wire), check=True, capture_output=True)
+    command = [*MOTORLENS, "run", "--source", "stdin:", "--sensor", "s.onnx", "--publish", "csv:c.csv"]
+    subprocess.run(command, input=b"".join(wire), check=True, capture_output=True, timeout=LIMIT_S)
     assert estimates("c.csv") == expected
 
 
 def test_a_reader_that_leaves_ends_it(here):
     write_recording(200_000)
-    command = (
-        f"{sys.executable} -m motorlens_runtime run --source file:rec.csv --sensor s.onnx --rate 0 | head -2"
-    )
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
-    assert len(done.stdout.splitlines()) == 2 and "Traceback" not in done.stderr
+    command = f"{sys.executable} -m motorlens_runtime run --source file:rec.csv --sensor s.onnx --rate 0"
+    done = ran(["sh", "-c", f"{command} | head -2"])
+    assert len(done.stdout.splitlines()) == 2 and "Traceback" not in done.stderr, done
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")

@@ -5,13 +5,11 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually
 from helpers.sensor_files import write_sensor
 
 from motorlens_runtime.cli import main
@@ -129,8 +127,7 @@ def test_the_state_is_kept_every_ten_seconds_without_waiting_for_the_disk(here, 
     kept, released = [], []
 
     def slow(path, taken):
-        while not released:
-            time.sleep(0.001)
+        eventually(lambda: released, "the disk answers")
         kept.append(taken.wall_time_ns)
 
     monkeypatch.setattr(memory_module.snapshot, "save", slow)
@@ -159,30 +156,19 @@ def test_systemd_sees_it_ready_alive_and_stopping(here):
     """Type=notify: a live run under a made-up service manager, ended by SIGTERM."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind("notify")
-        manager.settimeout(20.0)
+        manager.settimeout(LIMIT_S)
         environment = {**os.environ, "NOTIFY_SOCKET": str(here / "notify"), "WATCHDOG_USEC": "200000"}
         environment.pop("WATCHDOG_PID", None)
         command = [
-            sys.executable,
-            "-m",
-            "motorlens_runtime",
-            "run",
-            "--sensor",
-            "s.onnx",
-            "--memory",
-            "heat.json",
-        ]
-        command += ["--source", "file:rec.csv?speed=0.05", "--publish", "csv:rows.csv"]
-        process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
-        try:
+            *MOTORLENS, "run", "--sensor", "s.onnx", "--memory", "heat.json", "--source", "file:rec.csv?speed=0.05",
+            "--publish", "csv:rows.csv",
+        ]  # fmt: skip
+        with Program(command, env=environment) as program:
             heard = [manager.recv(100) for _ in range(4)]
-            assert heard == [b"READY=1", *[b"WATCHDOG=1"] * 3]
-            process.send_signal(signal.SIGTERM)
+            assert heard == [b"READY=1", *[b"WATCHDOG=1"] * 3], program.told()
+            program.send(signal.SIGTERM)
             while (last := manager.recv(100)) == b"WATCHDOG=1":
                 pass
             assert last == b"STOPPING=1"
-            assert process.wait(20) == 0
-        finally:
-            process.kill()
-            process.wait()
+            assert program.ended() == 0, program.told()
     assert (here / "heat.json").exists()

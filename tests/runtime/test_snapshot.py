@@ -2,10 +2,7 @@
 
 import json
 import math
-import os
 import random
-import signal
-import subprocess
 import sys
 import textwrap
 import time
@@ -13,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.processes import Program
 from helpers.sensor_files import features_by_loop, make_spec, write_sensor
 
 from motorlens_runtime.estimate.estimator import Estimator
@@ -201,11 +199,10 @@ def test_killed_while_writing_leaves_an_old_or_a_new_snapshot_never_a_torn_one(t
     """
     chance = random.Random(7)
     for _ in range(8):
-        process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stdout=subprocess.PIPE)
-        process.stdout.readline()
-        time.sleep(chance.uniform(0.0, 0.01))
-        os.kill(process.pid, signal.SIGKILL)
-        done = [int(line) for line in process.communicate()[0].split()]
+        with Program([sys.executable, "-c", textwrap.dedent(script)]) as program:
+            program.line()
+            time.sleep(chance.uniform(0.0, 0.01))
+        done = [int(line) for line in program.out.splitlines(keepends=True) if line.endswith("\n")]
         loaded = snapshot.load(path)
         assert isinstance(loaded, snapshot.Snapshot)
         assert loaded.wall_time_ns >= max(done, default=1)  # what was reported saved is saved

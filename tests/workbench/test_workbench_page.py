@@ -6,13 +6,11 @@ import os
 import re
 import shlex
 import signal
-import subprocess
-import sys
-import time
 import urllib.request
 from pathlib import Path
 
 import pytest
+from helpers.processes import MOTORLENS, Program, eventually
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_runtime.cli import main
@@ -152,8 +150,7 @@ def test_a_step_can_be_cancelled_and_leaves_nothing(bench):
     order = {"kind": "diagnose", "motor": "motor.toml", "recordings": ["bench.csv"]}
     assert bench.json("/steps", order)["status"] == 200
     process = bench.session._job._process
-    while not (told := bench.json("/state")["progress"]):
-        time.sleep(0.05)
+    told = eventually(lambda: bench.json("/state")["progress"], "progress")
     assert "fitting the base parameters" in told[0]
     assert bench.json("/steps", order)["status"] == 409
     assert bench.json("/cancel", {})["status"] == 200
@@ -246,25 +243,14 @@ def test_the_shelf_holds_the_folder_and_what_was_named_and_no_more(tmp_path, mon
 
 def test_the_command_serves_until_it_is_told_to_end(tmp_path):
     (tmp_path / "motor.toml").write_text(MOTOR, encoding="utf-8")
-    command = [
-        sys.executable,
-        "-m",
-        "motorlens_runtime",
-        "workbench",
-        "--folder",
-        ".",
-        "--no-browser",
-        "--json",
-        "s.json",
-    ]
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            url = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", process.stderr.readline())[0]
-            with urllib.request.urlopen(url, timeout=30) as answer:
-                assert answer.status == 200 and b"motorlens workbench" in answer.read()
-        finally:
-            process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0 and process.stderr.read() == ""
+    command = [*MOTORLENS, "workbench", "--folder", ".", "--no-browser", "--json", "s.json"]
+    with Program(command, cwd=tmp_path) as program:
+        line = program.line(of_error=True)
+        url = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", line)[0]
+        with urllib.request.urlopen(url, timeout=30) as answer:
+            assert answer.status == 200 and b"motorlens workbench" in answer.read()
+        program.send(signal.SIGTERM)
+        assert program.ended() == 0 and program.error == line + "\n", program.told()
     assert json.loads((tmp_path / "s.json").read_text()) == {"schema": "motorlens.workbench/1", "steps": []}
 
 

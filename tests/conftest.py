@@ -1,0 +1,83 @@
+"""What holds for every test: one thread a worker, numba's files of its own, and no process that outlives its test."""
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+
+import psutil
+import pytest
+
+# The workers of pytest-xdist share out the cores; libraries that start a thread a core would fight over them, and sums in
+# parallel come out in another order. Set before anything imports them, and inherited by the programs that tests start.
+for _name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+# What Python itself keeps for as long as a process lives that has started workers.
+_LASTING = ("multiprocessing.resource_tracker", "multiprocessing.forkserver")
+# A program that has been told to end may need a moment on a busy machine.
+_GRACE_S = 10.0
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # Two processes that save different signatures of one function at once can leave an index that points at the wrong code
+    # (numba.core.caching.IndexDataCacheFile.save reads the index, adds to it and writes it without a lock).
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "alone")
+    assert config.cache is not None
+    os.environ["NUMBA_CACHE_DIR"] = str(config.cache.mkdir(f"numba-{worker}"))
+    if sys.platform == "linux":
+        # Whoever loses its parent becomes a child of ours, so that nothing escapes `no_process_outlives_its_test`.
+        ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
+
+
+@pytest.fixture(autouse=True)
+def no_process_outlives_its_test() -> Iterator[None]:
+    """Fails a test that leaves a program behind, and ends that program."""
+    before = _descendants()
+    yield
+    if not (new := _new_since(before)):
+        return
+    _, left = psutil.wait_procs(new, timeout=_GRACE_S)
+    words = [_words(process) for process in left]
+    for process in left:
+        process.kill()
+    psutil.wait_procs(left, timeout=_GRACE_S)
+    if words:
+        pytest.fail("still runs after the test: " + "; ".join(words), pytrace=False)
+
+
+def _descendants() -> set[psutil.Process]:
+    try:
+        # Asks the kernel alone, in a microsecond; a list of all processes takes a thousand times that.
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return set()
+    return set(psutil.Process().children(recursive=True))
+
+
+def _new_since(before: set[psutil.Process]) -> list[psutil.Process]:
+    """Programs of this test; what a fixture of a longer life has started, and its children, are not."""
+    lasting = {process.pid for process in before}
+    return [
+        process
+        for process in _descendants() - before
+        if _words(process) and not lasting & {parent.pid for parent in _parents(process)}
+    ]
+
+
+def _parents(process: psutil.Process) -> list[psutil.Process]:
+    try:
+        return process.parents()
+    except psutil.NoSuchProcess:
+        return []
+
+
+def _words(process: psutil.Process) -> str:
+    """Its number and command line; empty if it has ended, or is Python's own."""
+    try:
+        if process.status() == psutil.STATUS_ZOMBIE:
+            return ""
+        line = " ".join(process.cmdline())
+    except psutil.NoSuchProcess:
+        return ""
+    return "" if any(name in line for name in _LASTING) else f"process {process.pid}: {line}"
