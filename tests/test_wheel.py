@@ -11,7 +11,7 @@ import pytest
 from helpers.sensor_files import write_sensor
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("torch", "scipy", "sympy", "numba", "pandas", "matplotlib", "onnx", "plotly")
+HEAVY = ("torch", "scipy", "sympy", "numba", "pandas", "matplotlib", "onnx")
 
 # Runs in the clean environment: infers, then says what is installed and what was imported.
 SCRIPT = """

@@ -23,7 +23,7 @@ from motorlens_runtime.errors import MotorlensError
 # Which extra brings a module that the light runtime does not install.
 EXTRAS = {
     "torch": "train", "onnx": "train", "scipy": "workbench", "sympy": "workbench", "numba": "workbench",
-    "matplotlib": "workbench", "plotly": "workbench", "tomlkit": "workbench", "paho": "publish", "pyarrow": "publish",
+    "matplotlib": "workbench", "tomlkit": "workbench", "paho": "publish", "pyarrow": "publish",
     "cantools": "can", "asyncua": "opcua", "mcap": "mcap",
 }  # fmt: skip
 

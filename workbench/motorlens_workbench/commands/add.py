@@ -55,7 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_runtime.errors import DataError
     from motorlens_workbench import ladder as ladders
     from motorlens_workbench.driven import driven, freed
-    from motorlens_workbench.ladder_report import to_html, to_json, to_text
+    from motorlens_workbench.report.ladder import before_and_after, to_html, to_json, to_text
+    from motorlens_workbench.report.page import write
     from motorlens_workbench.telling import teller
 
     if Path(arguments.output).resolve() == Path(arguments.motor).resolve():
@@ -91,7 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
         words += ["-o", arguments.output]
         words += [word for column in arguments.column for word in ("--column", column)]
         words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
-        Path(arguments.html).write_text(to_html(document, shlex.join(words)), encoding="utf-8")
+        overlays = before_and_after(found, fitted)
+        write(to_html(document, shlex.join(words), overlays), arguments.html)
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
         print(to_text(document))

@@ -9,7 +9,6 @@ The model runs freely from the first samples, driven by the measured voltage, lo
 
 import argparse
 import shlex
-from pathlib import Path
 
 from motorlens_runtime.cli import add_json_argument, write_json
 
@@ -30,7 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.motor_file import read_motor_file
     from motorlens_physics.recording import read_recording
     from motorlens_workbench.comparison import compare
-    from motorlens_workbench.comparison_report import to_html, to_json, to_text
+    from motorlens_workbench.report.comparison import to_html, to_json, to_text
+    from motorlens_workbench.report.page import write
 
     own = load_effects(arguments.effects_from) if arguments.effects_from else {}
     file = read_motor_file(arguments.motor, own.values())
@@ -41,9 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         words = ["motorlens", "compare", *arguments.recordings, "--motor", arguments.motor]
         words += [word for column in arguments.column for word in ("--column", column)]
         words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
-        Path(arguments.html).write_text(
-            to_html(found, arguments.recordings, arguments.motor, shlex.join(words)), encoding="utf-8"
-        )
+        write(to_html(found, arguments.recordings, arguments.motor, shlex.join(words)), arguments.html)
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
         for recording in recordings:

@@ -10,7 +10,6 @@ the sizes listed) and not_testable. `motorlens add` puts an effect into the moto
 
 import argparse
 import shlex
-from pathlib import Path
 
 from motorlens_runtime.cli import add_json_argument, write_json
 
@@ -58,15 +57,14 @@ def run(arguments: argparse.Namespace) -> int:
     document = to_json(found, verdict, experiment, arguments.recordings, arguments.motor)
     write_json(document, arguments.json)
     if arguments.html:
-        from motorlens_workbench.diagnosis_page import to_html
+        from motorlens_workbench.report.diagnosis import to_html
+        from motorlens_workbench.report.page import write
 
         words = ["motorlens", "diagnose", *arguments.recordings, "--motor", arguments.motor]
         words += ["--driven"] if arguments.driven else []
         words += [word for column in arguments.column for word in ("--column", column)]
         words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
-        Path(arguments.html).write_text(
-            to_html(found, verdict, document, shlex.join(words)), encoding="utf-8"
-        )
+        write(to_html(found, verdict, document, shlex.join(words)), arguments.html)
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
         for recording in recordings:

@@ -1,10 +1,21 @@
 """The ladder of held-out error as JSON (schema motorlens.add/1), text and page."""
 
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.recording import Recording
+from motorlens_workbench.fitting import start_model
 from motorlens_workbench.ladder import Ladder
-from motorlens_workbench.report import PREDICTED, Picture, Section, Table, bars, figure, page
+from motorlens_workbench.model import predict
+from motorlens_workbench.report.overlay import overlay
+from motorlens_workbench.report.page import Section, page
+from motorlens_workbench.report.pictures import Bar, Bars, Grid, Plot, Table
+from motorlens_workbench.run import UNIT_OF, Run, prepare
 
 
 def to_json(found: Ladder, effect: str, motor: str, written: str | None) -> dict[str, Any]:
@@ -83,30 +94,70 @@ def to_text(document: dict[str, Any]) -> str:
     return "\n".join(rows)
 
 
-def to_html(document: dict[str, Any], command: str) -> str:
-    """The page of `--html`."""
+def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = ()) -> Iterator[str]:
+    """The page of `--html`.
+
+    Args:
+        document: see `to_json`.
+        command: to get it again.
+        overlays: before and after, see `before_and_after`.
+    """
     channels = list(document["noise_floor"])
-    names = [rung["added"] or "textbook" for rung in document["ladder"]] + ["noise floor"]
-    pictures = []
+    rungs = document["ladder"]
+    bars: list[str | Table | Bars | Grid | Plot] = []
     for c in channels:
-        values = [*(rung["held_out"].get(c, 0.0) for rung in document["ladder"]), document["noise_floor"][c]]
-        drawn = figure(
-            [bars(names, values, PREDICTED)], f"RMSE of {c} on blocks of time held out", "", 90 + 34 * len(names),
-            margin={"l": 190, "r": 20, "t": 10, "b": 45},
-        )  # fmt: skip
-        pictures.append(Picture(drawn))
-    rows = [
-        [key, entry["value"], entry["sd"] or "", entry["unit"]]
-        for key, entry in document["parameters"].items()
+        rows = [Bar(_label(rung["added"]), rung["held_out"].get(c, math.nan)) for rung in rungs]
+        rows.append(Bar("noise floor", document["noise_floor"][c], "noise"))
+        bars.append(Bars(f"Error of {c}, rms", UNIT_OF.get(c, ""), rows))
+    bars.append("On blocks of time that the parameters were not fitted to, taken from all operating regions.")
+    rows_ = [
+        [key, e["value"], "" if e["sd"] is None else e["sd"], e["unit"]]
+        for key, e in document["parameters"].items()
     ]
-    sections: list[Section] = [Section("The error falls", pictures)]
-    if document["ladder"][-1]["judged"]:
-        judged = [
-            [r["added"] or "textbook", *(r["judged"].get(c, float("nan")) for c in channels)]
-            for r in document["ladder"]
-        ]
-        sections.append(Section("On recordings that were not fitted", [Table(["model", *channels], judged)]))
+    sections = [Section("The error falls" if document["supported"] else "The error", bars)]
+    if overlays:
+        sections.append(Section("Before and after", list(overlays)))
+    if rungs[-1]["judged"]:
+        judged = [[_label(r["added"]), *(r["judged"].get(c, math.nan) for c in channels)] for r in rungs]
+        headings = ["model", *(f"{c}, {UNIT_OF.get(c, '')}" for c in channels)]
+        caption = "Run freely from the first samples, rms."
+        sections.append(Section("On recordings that were not fitted", [Table(headings, judged, caption)]))
     sections.append(
-        Section("Parameters", [Table(["parameter", "value", "standard deviation", "unit"], rows)])
+        Section("Parameters", [Table(["parameter", "value", "standard deviation", "unit"], rows_)])
     )
     return page(f"motorlens add {document['effect']}", sentence(document), [], sections, [command])
+
+
+def before_and_after(found: Ladder, recordings: Sequence[Recording]) -> list[Plot]:
+    """Free runs of the last two models of the ladder beside each recording.
+
+    Raises:
+        ModelError: one of them cannot be simulated on a recording.
+    """
+    if len(found.rungs) < 2:
+        return []
+    files = {"before": ("lacking", found.rungs[-2].file), "after": ("predicted", found.rungs[-1].file)}
+    plots = []
+    for recording in recordings:
+        predicted = {}
+        for name, (role, file) in files.items():
+            run = prepare(recording, file)
+            # The recording does not say whether its voltage was held between samples; the better agreement does.
+            ways = [
+                predict(replace(start_model(file, [run]), held=(held,)), run, 0) for held in (False, True)
+            ]
+            trajectory, values = min(ways, key=lambda way: _error(run, way[1]))
+            predicted[name] = (role, values)
+        plots.append(overlay(run, trajectory, predicted, found.noise_floor))
+    return plots
+
+
+def _error(run: Run, predicted: NDArray[np.float64]) -> float:
+    error = (run.measured - predicted)[run.valid]
+    return float(np.mean(np.log(np.mean(error**2, axis=0) + 1e-300)))
+
+
+def _label(added: str) -> str:
+    if not added:
+        return "textbook"
+    return added.replace("_", " ") if added.startswith("without") else "+ " + added.replace("_", " ")

@@ -1,0 +1,77 @@
+"""A real browser for the tests of pages: Chromium by Playwright. Where either is absent, tests are skipped and say so."""
+
+import importlib.util
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+QUIET = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+# Nothing on a page takes longer than this, however busy the machine, but for a step of the workbench.
+PATIENCE_MS = 60_000
+
+
+def _reason() -> str:
+    absent = [
+        name for name in ("playwright", "axe_playwright_python") if importlib.util.find_spec(name) is None
+    ]
+    if CHROMIUM is None:
+        return "no Chromium on this machine: apt-get install chromium"
+    return f"not installed: {', '.join(absent)} (pip install 'motorlens[dev]')" if absent else ""
+
+
+needs_browser = pytest.mark.skipif(bool(_reason()), reason=_reason() or "a browser is there")
+
+
+@contextmanager
+def chromium() -> Iterator["object"]:
+    """A browser; `opened` makes pages of it."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
+def opened(browser, url, *, width=1280, height=900, **context):
+    """A page that fails the test if its script throws, if the console reports an error, or if it asks anybody else."""
+    tab = browser.new_context(viewport={"width": width, "height": height}, **context)
+    tab.set_default_timeout(PATIENCE_MS)
+    page, complaints = tab.new_page(), []
+    page.on("pageerror", lambda error: complaints.append(f"script: {error}"))
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    page.on(
+        "request", lambda request: complaints.append(f"asks {request.url}") if _foreign(request.url) else None
+    )
+    page.complaints = complaints
+    page.goto(url)
+    try:
+        yield page
+        assert not complaints, complaints
+    finally:
+        tab.close()
+
+
+def _foreign(url: str) -> bool:
+    return not url.startswith(("file:", "data:", "blob:", "about:", "http://127.0.0.1:"))
+
+
+def serious(page) -> list[str]:
+    """What axe finds that is serious or critical, a line each."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page).response["violations"]
+    return [
+        f"{one['id']}: {one['help']}: {one['nodes'][0]['html'][:200]}"
+        for one in found
+        if one["impact"] in ("serious", "critical")
+    ]

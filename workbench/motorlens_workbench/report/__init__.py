@@ -1,0 +1,1 @@
+"""What the commands found, as pages that open without a network, as tables for the terminal and as JSON."""

@@ -1,0 +1,256 @@
+"""What `compare` found: as JSON, as a table for the terminal, and as a page."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.scenario import time_constants
+from motorlens_workbench.balances import EQUATIONS
+from motorlens_workbench.comparison import Comparison, remark, spectrum
+from motorlens_workbench.report.overlay import overlay
+from motorlens_workbench.report.page import Section, page, significant
+from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Samples, Table, cloud, curves
+from motorlens_workbench.run import UNIT_OF
+
+# Error in multiples of the noise at which the next colour of the map begins: 1 is as good as can be, and from 100 on the
+# model is of no use there. Fixed, so that maps can be compared.
+BORDERS = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+# Points of a cumulative periodogram.
+POINTS = 600
+
+
+def verdict(found: Comparison) -> str:
+    """One sentence: how good the model is, and where it fails."""
+    worst = max(
+        found.channels, key=lambda c: found.channels[c].rmse / max(found.channels[c].noise_floor, 1e-300)
+    )
+    channel = found.channels[worst]
+    times = channel.rmse / max(channel.noise_floor, 1e-300)
+    size = f"{significant(channel.rmse)} {channel.unit} rms in {worst}, {times:.2g} times its noise"
+    if times < 1.2:
+        return f"The model follows these recordings to their noise ({size})."
+    named = [name for name, equation in found.equations.items() if equation.testable and equation.share > 0]
+    if not named:
+        return f"The model misses these recordings by {size}; no equation can be tested on its own."
+    equation = max(named, key=lambda name: found.equations[name].share)
+    share = 100 * found.equations[equation].share
+    return f"The model misses these recordings by {size}; {share:.0f} % of what is lacking is in the {equation} equation."
+
+
+def to_json(found: Comparison, recordings: Sequence[str], motor: str) -> dict[str, Any]:
+    """The document of `--json`, schema motorlens.compare/1."""
+    equations: dict[str, Any] = {}
+    for name, equation in found.equations.items():
+        equations[name] = {
+            "share": equation.share,
+            "testable": equation.testable,
+            "rms": equation.rms,
+            "unit": equation.unit,
+        }
+        why = equation.why or remark(name, found.overlays)
+        if why:
+            equations[name]["why"] = why
+    return {
+        "schema": "motorlens.compare/1",
+        "motor": motor,
+        "recordings": list(recordings),
+        "channels": {
+            name: {
+                "unit": c.unit, "rmse": c.rmse, "nrmse_percent": c.fit_percent, "bias": c.bias, "max": c.largest,
+                "noise_floor": c.noise_floor,
+            }
+            for name, c in found.channels.items()
+        },
+        "equations": equations,
+        "regions": [
+            {**{q: list(span) for q, span in r.within.items()}, "rms_in_sigma": r.rms_in_sigma, "samples": r.samples}
+            for r in found.map
+        ],
+        "named_regions": {
+            name: {
+                **{q: list(span) for q, span in r.within.items()}, "rms_in_sigma": r.rms_in_sigma, "samples": r.samples,
+            }
+            for name, r in found.regions.items()
+        },
+        "time_scales": {channel: dict(bands) for channel, bands in found.bands.items()},
+        "orders": [{"order": order, "amplitude_rad_s": amplitude} for order, amplitude in found.orders],
+    }  # fmt: skip
+
+
+def to_text(found: Comparison) -> str:
+    """The table for the terminal."""
+    rows = [verdict(found), ""]
+    rows.append(
+        f"{'channel':14}{'rmse':>11}{'x noise':>9}{'fit %':>8}{'bias':>11}{'largest':>11}{'noise':>11}"
+    )
+    for name, c in found.channels.items():
+        times = c.rmse / max(c.noise_floor, 1e-300)
+        rows.append(
+            f"{name + ', ' + c.unit:14}{c.rmse:11.4g}{times:9.3g}{c.fit_percent:8.1f}{c.bias:11.3g}{c.largest:11.4g}"
+            f"{c.noise_floor:11.3g}"
+        )
+    rows += ["", f"{'equation':14}{'share':>8}{'lacks, rms':>16}"]
+    for name, e in found.equations.items():
+        share = f"{100 * e.share:.0f} %" if e.testable else "-"
+        note = f"not testable: {e.why}" if e.why else remark(name, found.overlays)
+        rows.append(f"{name:14}{share:>8}{e.rms:12.4g} {e.unit:4} {note}".rstrip())
+    rows += ["", f"{'where':18}{'error, x noise':>16}{'samples':>10}"]
+    rows += [f"{name:18}{r.rms_in_sigma:16.2f}{r.samples:10d}" for name, r in found.regions.items()]
+    rows += [
+        "",
+        f"{'time scale':14}" + "".join(f"{band:>12}" for band in ("thermal", "mechanical", "electrical")),
+    ]
+    for name, bands in found.bands.items():
+        rows.append(f"{name:14}" + "".join(f"{100 * share:10.0f} %" for share in bands.values()))
+    if found.orders:
+        orders = ", ".join(f"{order:.0f} ({amplitude:.3g} rad/s)" for order, amplitude in found.orders)
+        rows += ["", f"strongest shaft orders in the speed error: {orders}"]
+    return "\n".join(rows)
+
+
+def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: str) -> Iterator[str]:
+    """The page of `--html`."""
+    summary = [
+        f"Motor file {motor}, run freely from the first samples of {', '.join(recordings)}, driven by the measured inputs; "
+        "nothing was fitted. What is missing is the question of motorlens diagnose.",
+        "The noise floor of a channel is the standard deviation of what is white in its error, from second differences.",
+    ]
+    sections = [
+        Section("Measured and predicted", _overlays(found)),
+        Section("Which equation fails", _equation_content(found)),
+        Section("Where it fails", _region_content(found)),
+        Section("At which time scale", _band_content(found)),
+        Section("Numbers", [_channel_table(found)]),
+    ]
+    return page(f"motorlens compare: {found.file.name}", verdict(found), summary, sections, [command])
+
+
+def _overlays(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
+    return [
+        overlay(
+            o.run,
+            o.trajectory,
+            {"predicted": ("predicted", o.predicted)},
+            dict(zip(o.run.channels, o.noise.tolist(), strict=True)),
+            {name: o.missing[name] for name in EQUATIONS if found.equations[name].testable},
+        )
+        for o in found.overlays
+    ]
+
+
+def _equation_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
+    testable = [name for name in EQUATIONS if found.equations[name].testable]
+    content: list[str | Table | Bars | Grid | Plot] = []
+    for name in EQUATIONS:
+        if not found.equations[name].testable:
+            content.append(f"The {name} equation cannot be tested: {found.equations[name].why}.")
+        elif note := remark(name, found.overlays):
+            content.append(f"For the {name} equation, {note}.")
+    if testable:
+        shares = [
+            Bar(name, 100 * found.equations[name].share, "lacking", Samples(f"{name} equation", lacks=name))
+            for name in testable
+        ]
+        caption = "A click on an equation marks, in the plots above, the tenth of the samples at which it lacks most."
+        content.append(Bars("Share of what is lacking", "%", shares, caption))
+    for name in testable:
+        caption = f"What the {name} equation lacks when it is driven by the measured others, against speed."
+        content.append(cloud("speed, rad/s", f"lacking, {EQUATIONS[name]}", "speed", name, caption))
+    return content
+
+
+def _region_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
+    bars = [
+        Bar(f"{name} ({r.samples} samples)", r.rms_in_sigma, "predicted", Samples(name, r.within))
+        for name, r in found.regions.items()
+    ]
+    content: list[str | Table | Bars | Grid | Plot] = [
+        Bars("Error, in multiples of the noise floor", "", bars, "A click on a region marks its samples in the plots above.")
+    ]  # fmt: skip
+    if found.map:
+        content.append(_map(found))
+    return content
+
+
+def _map(found: Comparison) -> Grid:
+    # The cells are of one size; a row or a column that is empty stands all the same.
+    spans = {q: _spans([r.within[q] for r in found.map]) for q in ("speed", "current")}
+    cells = []
+    for r in found.map:
+        where = " and ".join(f"{q} {_range(r.within[q])} {UNIT_OF[q]}" for q in ("speed", "current"))
+        at = [
+            int(np.argmin([abs(span[0] - r.within[q][0]) for span in spans[q]])) for q in ("speed", "current")
+        ]
+        cells.append(
+            Cell(at[0], at[1], r.rms_in_sigma, f"{where}: {r.samples} samples", Samples(where, r.within))
+        )
+    return Grid(
+        "speed, rad/s", "current, A", [_range(span) for span in spans["speed"]],
+        [_range(span) for span in spans["current"]], cells, BORDERS,
+        "Error in each cell of the operating range, in multiples of the noise floor:",
+        "A cell with few samples is left empty. A click on a cell marks its samples in the plots above.",
+    )  # fmt: skip
+
+
+def _spans(there: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    low, high = min(span[0] for span in there), max(span[1] for span in there)
+    number = max(1, round((high - low) / (there[0][1] - there[0][0])))
+    edges = np.linspace(low, high, number + 1).tolist()
+    return list(pairwise(edges))
+
+
+def _range(span: tuple[float, float]) -> str:
+    return f"{span[0]:.3g} to {span[1]:.3g}"
+
+
+def _band_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
+    pace = time_constants(found.file.motor)
+    corners = {"thermal": pace.thermal_s, "mechanical": pace.mechanical_s, "electrical": pace.electrical_s}
+    spectra = {
+        f"{o.run.name}: {channel}": (channel, *spectrum(o, channel)) for o in found.overlays for channel in o.run.channels
+    }  # fmt: skip
+    least = min(float(f[1]) for _, f, _ in spectra.values())
+    most = max(float(f[-1]) for _, f, _ in spectra.values())
+    at = np.geomspace(least, most, POINTS)
+    roles = {"current": "predicted", "speed": "lacking", "temperature": "measured"}
+    lines = {
+        name: (roles[channel], _cumulative(at, frequency, power))
+        for name, (channel, frequency, power) in spectra.items()
+    }
+    caption = "Cumulative periodogram of the error. The dotted lines are the motor's own corner frequencies."
+    content: list[str | Table | Bars | Grid | Plot] = [
+        curves(
+            "frequency, Hz", "share of the error's power below", at, lines, logarithmic=True,
+            marks={name: 1 / (2 * np.pi * tau) for name, tau in corners.items()}, caption=caption,
+        )
+    ]  # fmt: skip
+    if found.orders:
+        content.append(
+            Table(["order of the shaft", "amplitude, rad/s"], found.orders, "Strongest in the speed error.")
+        )
+    return content
+
+
+def _cumulative(
+    at: NDArray[np.float64], frequency: NDArray[np.float64], power: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    share = np.cumsum(power[1:]) / max(float(np.sum(power[1:])), 1e-300)
+    # The step curve at these frequencies: no point of it is made up.
+    index = np.searchsorted(frequency[1:], at * (1 + 1e-9), side="right") - 1
+    found = np.where(index >= 0, share[np.maximum(index, 0)], np.nan)
+    return np.where(at > frequency[-1] * (1 + 1e-9), np.nan, found)
+
+
+def _channel_table(found: Comparison) -> Table:
+    rows = [
+        [
+            name, c.unit, c.rmse, c.rmse / max(c.noise_floor, 1e-300), c.fit_percent, c.bias, c.largest, c.noise_floor,
+        ]
+        for name, c in found.channels.items()
+    ]  # fmt: skip
+    return Table(
+        ["channel", "unit", "rmse", "times the noise", "fit, %", "bias", "largest", "noise floor"], rows
+    )

@@ -1,0 +1,180 @@
+"""The diagnosis as one page: verdict sentence, pictures, numbers, how to reproduce it."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from motorlens_workbench.diagnosis import Finding
+from motorlens_workbench.evidence import similarity
+from motorlens_workbench.model import predict
+from motorlens_workbench.report.overlay import overlay
+from motorlens_workbench.report.page import Section, page, significant, unit_text
+from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Table, curves
+from motorlens_workbench.run import UNIT_OF
+from motorlens_workbench.verdict import Verdict
+
+UNIT_AGAINST = {
+    "speed": "rad/s",
+    "current": "A",
+    "temperature": "K above ambient",
+    "time": "s",
+    "angle": "rad",
+    "frequency": "Hz",
+    "travel": "rad since the last reversal",
+}
+# As many candidates as fit into a picture.
+SHOWN = 16
+# Squared correlations at which the next colour of the map of what looks alike begins.
+BORDERS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 0.95, 0.99)
+
+Content = list[str | Table | Bars | Grid | Plot]
+
+
+def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command: str) -> Iterator[str]:
+    """The page of `--html`."""
+    summary = [*_next_step(document), *document["cannot_tell"]]
+    sections = []
+    if verdict.shape is not None:
+        sections.append(Section("The shape of what is missing", [_shape(verdict)]))
+    sections += [
+        Section("Measured and predicted", _overlays(found, document)),
+        Section("The error falls", _ladder(document)),
+        Section("Candidates", [*_gains(document), _table(document)]),
+    ]
+    if len(found.first.tests) > 1:
+        sections.append(Section("What looks alike", [_alike(found, document)]))
+    sections.append(Section("Base parameters", [_parameters(found)]))
+    return page(
+        f"motorlens diagnose: {document['motor']}", document["sentence"], summary, sections, [command]
+    )
+
+
+def _next_step(document: dict[str, Any]) -> list[str]:
+    if "separating_experiment" in document:
+        test = document["separating_experiment"]
+        return [f"To tell {', '.join(test['separates'])} apart: {test['why']}."]
+    if document["chosen"]:
+        return [f"Next: motorlens add {document['chosen'][0]}, and diagnose again."]
+    return []
+
+
+def _shape(verdict: Verdict) -> Plot:
+    bend = verdict.shape
+    assert bend is not None
+    low, high = bend.value - 1.645 * bend.sd, bend.value + 1.645 * bend.sd
+    caption = (
+        "Added to the right-hand side of its balance, after the base parameters have explained what they can; what they can "
+        "imitate (an offset, a slope) is not in it. Shaded: the 90 % band."
+    )
+    return curves(
+        f"{bend.curve.against}, {UNIT_AGAINST[bend.curve.against]}", f"{bend.curve.term}, {bend.curve.unit}", bend.knots,
+        {"missing term": ("lacking", bend.value)}, band=(low, high), caption=caption,
+    )  # fmt: skip
+
+
+def _overlays(found: Finding, document: dict[str, Any]) -> Content:
+    plots: Content = []
+    for r, run in enumerate(found.runs):
+        trajectory, before = predict(found.base.model, run, r)
+        predicted = {"base model": ("lacking", before)}
+        if found.steps:
+            predicted["with what was named"] = ("predicted", predict(found.last.found.model, run, r)[1])
+        plots.append(overlay(run, trajectory, predicted, document["error"]["noise_floor"]))
+    return plots
+
+
+def _ladder(document: dict[str, Any]) -> Content:
+    error = document["error"]
+    content: Content = []
+    for channel, before in error["before"].items():
+        rows = [Bar("base model", before, "lacking"), Bar("with what was named", error["after"][channel])]
+        rows.append(Bar("noise floor", error["noise_floor"][channel], "noise"))
+        content.append(Bars(f"Error of {channel}, rms", UNIT_OF[channel], rows))
+    content.append(
+        "On blocks of time that the parameters were not fitted to, taken from all operating regions."
+    )
+    return content
+
+
+def _gains(document: dict[str, Any]) -> Content:
+    shown = [entry for entry in document["candidates"] if entry["gain"] > 0][:SHOWN]
+    if not shown:
+        return []
+    bars = [Bar(entry["name"].replace("_", " "), entry["statistic"]) for entry in shown]
+    caption = "What each candidate alone would explain, scatter between blocks of time taken into account."
+    return [Bars("Robust statistic (26 counts as real)", "", bars, caption)]
+
+
+def _table(document: dict[str, Any]) -> Table:
+    entries = document["candidates"]
+    rows = []
+    for entry in entries:
+        size = next(iter(entry["parameters"].values()), None)
+        unit = "" if size is None else f" {unit_text(size['unit'])}".rstrip()
+        value = f"{significant(size['value'])} ± {size['sd']:.2g}{unit}" if size else ""
+        least = entry["minimum_detectable"]
+        rows.append(
+            [entry["name"].replace("_", " "), entry["equation"].replace("_", " "), _chance(entry["p"]),
+             _probability(entry), value, "" if least is None else f"{significant(least)}{unit}", entry["why_not"]]
+        )  # fmt: skip
+    headings = ["candidate", "equation", "p", "probability", "size", "detectable from", "note"]
+    top = max((_weight(entry) for entry in entries), default=0.0)
+    # All that share the first place, not whichever happens to be listed first.
+    strong = [
+        k
+        for k, entry in enumerate(entries)
+        if entry["name"] in document["chosen"]
+        or (
+            top > 0
+            and any(entry["name"] in group for group in document["groups"])
+            and _weight(entry) > 0.9 * top
+        )
+    ]
+    return Table(
+        headings, rows, "Smaller than what is detectable, an effect would not have been seen here.",
+        [entry["name"] for entry in entries], strong,
+    )  # fmt: skip
+
+
+def _weight(entry: dict[str, Any]) -> float:
+    return float(entry["probability"] or 0.0)
+
+
+def _chance(p: float | None) -> str:
+    return "" if p is None else (f"{p:.2g}" if p >= 1e-3 else f"{p:.0e}")
+
+
+def _probability(entry: dict[str, Any]) -> str:
+    return "" if entry["probability"] is None else f"{entry['probability']:.2f}"
+
+
+def _alike(found: Finding, document: dict[str, Any]) -> Grid:
+    names = [e["name"] for e in document["candidates"] if e["name"] in found.first.tests][:SHOWN]
+    names = [name for name in names if found.first.tests[name].score is not None]
+    labels = [
+        found.first.tests[name].candidate.columns()[found.first.tests[name].variant][0] for name in names
+    ]
+    alike = similarity(found.first.left, labels)
+    last = len(names) - 1
+    cells = [
+        Cell(column, last - row, float(alike[row, column]), f"{names[row]} and {names[column]}: {alike[row, column]:.3f}")
+        for row in range(len(names))
+        for column in range(row + 1)
+    ]  # fmt: skip
+    shown = [name.replace("_", " ") for name in names]
+    numbers = [str(k + 1) for k in range(len(names))]
+    return Grid(
+        "candidate by number", "candidate", numbers, [f"{k + 1} {name}" for k, name in enumerate(shown)][::-1], cells,
+        BORDERS, "Squared correlation after the base parameters have taken their share:",
+        "1: these recordings cannot tell the two apart.",
+    )  # fmt: skip
+
+
+def _parameters(found: Finding) -> Table:
+    file, base, last = found.base.prior.centre, found.base, found.last.found
+    spread = last.sd()
+    rows = []
+    for key in base.prior.keys:
+        if "@" in key:
+            continue
+        rows.append([key, file[key], base.model.values()[key], last.model.values()[key], spread[key]])
+    return Table(["parameter", "motor file", "fitted, base", "fitted, after", "standard deviation"], rows)

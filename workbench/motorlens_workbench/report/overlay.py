@@ -1,0 +1,66 @@
+"""Measured and predicted over each other, and the error below, for every channel of a recording."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.simulation import Trajectory
+from motorlens_workbench.report.pictures import Axes, Line, Plot, time_plots
+from motorlens_workbench.run import STATE_OF, UNIT_OF, Run
+
+Array = NDArray[np.float64]
+
+
+def overlay(
+    run: Run,
+    trajectory: Trajectory,
+    predicted: Mapping[str, tuple[str, Array]],
+    noise: Mapping[str, float],
+    lacks: Mapping[str, Array] | None = None,
+) -> Plot:
+    """The plots of one recording.
+
+    Args:
+        run: what was measured.
+        trajectory: a simulation of it, for the states that were not measured.
+        predicted: name of a model -> its colour and (N, C) what it predicts.
+        noise: channel -> standard deviation of the noise floor; the band is twice that.
+        lacks: equation -> (N,) what it lacks.
+    """
+    axes, data = [], {}
+    for k, channel in enumerate(run.channels):
+        measured = f"{channel}, measured"
+        data[measured] = np.where(run.valid, run.measured[:, k], np.nan)
+        lines, errors = [Line("measured", "measured", measured)], []
+        for name, (role, values) in predicted.items():
+            series = f"{channel}, {name}"
+            data[series] = values[:, k]
+            lines.append(Line(name, role, series))
+            errors.append(
+                Line(f"measured - {name}", "lacking" if len(predicted) == 1 else role, measured, series)
+            )
+        unit = UNIT_OF[channel]
+        axes.append(Axes(channel, unit, lines))
+        axes.append(Axes(f"{channel} error", unit, errors, 2 * noise.get(channel, 0.0), 130))
+    inputs = run.inputs
+    data["voltage"] = inputs.voltage_V
+    axes.append(Axes("voltage", "V", [Line("voltage", "measured", "voltage")], height=110))
+    if "load_torque" in run.known:
+        data["load torque"] = inputs.load_torque_Nm
+        axes.append(Axes("load torque", "N*m", [Line("load torque", "measured", "load torque")], height=110))
+    states = {}
+    for channel, state in STATE_OF.items():
+        states[channel] = f"{channel}, measured"
+        if channel not in run.channels:
+            ambient = inputs.ambient_C if channel == "temperature" else 0.0
+            states[channel] = f"{channel}, simulated"
+            data[states[channel]] = trajectory.states[state] + ambient
+    named = {equation: f"what the {equation} equation lacks" for equation in lacks or {}}
+    for equation, values in (lacks or {}).items():
+        data[named[equation]] = values
+    caption = (
+        f"{run.name}. Drag to zoom, double-click for all of it; every sample is here. The grey band is two standard "
+        "deviations of the noise floor."
+    )
+    return time_plots(run.name, inputs.time_s, axes, data, states, named, caption)

@@ -1,0 +1,477 @@
+"use strict";
+// Plots of a report, in the page of a report and in that of the workbench. All samples are here; uPlot thins them to the
+// pixels of the view. Plots of one recording share their time axis and their cursor; what is chosen by a button with
+// `data-samples` is marked in all of them.
+const MOST_POINTS = 20000; // of a cloud; more are a blot
+const MERGE = 0.002; // stretches of samples closer than this share of a recording are one
+
+let palette = {};
+
+// A colour of the style sheet as it is now: light, dark, or the reader's own in high contrast.
+function colour(name) {
+  if (!palette[name]) {
+    const probe = document.createElement("span");
+    probe.className = "probe";
+    probe.style.color = `var(--${name})`;
+    document.body.append(probe);
+    palette[name] = getComputedStyle(probe).color;
+    probe.remove();
+  }
+  return palette[name];
+}
+
+function floats(text, kind) {
+  const octets = Uint8Array.fromBase64 ? Uint8Array.fromBase64(text) : Uint8Array.from(atob(text), c => c.charCodeAt(0));
+  return new kind(octets.buffer);
+}
+
+function short(value, digits = 6) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  return Math.abs(value) >= 1e6 || (value !== 0 && Math.abs(value) < 1e-4) ? value.toExponential(3) : String(Number(value.toPrecision(digits)));
+}
+
+function unitOf(text) {
+  return {degC: "°C", 1: "", "N*m": "N m"}[text] ?? text;
+}
+
+function put(tag, parent, text, classes) {
+  const element = document.createElement(tag);
+  if (text !== undefined && text !== null) element.textContent = text;
+  if (classes) element.className = classes;
+  if (parent) parent.append(element);
+  return element;
+}
+
+function press(parent, text, label, act) {
+  const button = put("button", parent, text);
+  button.type = "button";
+  button.title = label;
+  button.setAttribute("aria-label", label);
+  button.onclick = act;
+  return button;
+}
+
+// What all plots have in common.
+function axes(x, y) {
+  const style = {stroke: () => colour("faded"), grid: {stroke: () => colour("faint"), width: 1}, ticks: {stroke: () => colour("line"), width: 1}, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif"};
+  const tick = (u, values) => values.map(value => value === null ? "" : short(value));
+  [x, y] = [x, y].map(label => label.replace("N*m", "N m").replace("degC", "°C"));
+  return [{...style, label: x, labelSize: x ? 20 : 0, size: 30, values: tick}, {...style, label: y, labelSize: 20, size: 62, values: tick}];
+}
+
+// All pictures of one report. `source` holds its data: this document, or one that was fetched.
+class Scene {
+  constructor(root, source, actions = {}) {
+    this.root = root;
+    this.source = source;
+    this.actions = actions; // range(name, from, to): what else can be done with the stretch in view
+    this.groups = [];
+    this.plots = [];
+    this.clouds = [];
+    const described = JSON.parse(source.getElementById("pictures").textContent);
+    const places = [...root.querySelectorAll("[data-picture]")].map(place => [place, described[Number(place.dataset.picture)]]);
+    for (const [place, spec] of places) if (spec.kind === "time") this.groups.push(new TimePlots(this, place, spec, `${spec.name}-${this.groups.length}-${Math.random()}`));
+    for (const [place, spec] of places) if (spec.kind === "curves") drawCurves(this, place, spec);
+    for (const [place, spec] of places) if (spec.kind === "cloud") drawCloud(this, place, spec);
+    this.marked = new Marked(this);
+    root.addEventListener("click", event => {
+      const button = event.target.closest("button.samples");
+      if (button && root.contains(button)) this.mark(JSON.parse(button.dataset.samples), button);
+    });
+    // A report is not drawn for the screen it is printed on, nor for the light it was opened in.
+    this.redraw = () => { palette = {}; this.plots.forEach(plot => plot.redraw(false, true)); };
+    for (const query of ["(prefers-color-scheme: dark)", "(forced-colors: active)"]) matchMedia(query).addEventListener("change", this.redraw);
+    this.size = new ResizeObserver(() => this.fit());
+    places.forEach(([place]) => this.size.observe(place));
+  }
+
+  fit() {
+    for (const plot of this.plots) {
+      const width = plot.root.parentElement.clientWidth;
+      if (width > 50 && width !== plot.width) plot.setSize({width, height: plot.asked});
+    }
+  }
+
+  add(options, data, parent) {
+    const plot = new uPlot({width: Math.max(parent.clientWidth, 200), ...options}, data, parent);
+    plot.asked = options.height;
+    this.plots.push(plot);
+    return plot;
+  }
+
+  mark(what, button) {
+    if (!this.groups.length) return;
+    this.root.querySelectorAll("button.samples[aria-pressed=true]").forEach(other => other.removeAttribute("aria-pressed"));
+    if (button) button.setAttribute("aria-pressed", "true");
+    // The tenth at which an equation lacks most is taken over all recordings.
+    let least = Infinity;
+    if (what.lacks) {
+      const all = this.groups.flatMap(group => group.lacks(what.lacks) ? [...everyNth(group.lacks(what.lacks), 100000)] : []).map(Math.abs).sort((a, b) => a - b);
+      least = all.length ? all[Math.floor(0.9 * all.length)] : Infinity;
+    }
+    for (const group of this.groups) group.mark(what, least);
+    this.marked.show(what.label);
+  }
+
+  clear() {
+    this.root.querySelectorAll("button.samples[aria-pressed=true]").forEach(other => other.removeAttribute("aria-pressed"));
+    this.groups.forEach(group => group.unmark());
+  }
+}
+
+function everyNth(values, most) {
+  const step = Math.max(1, Math.ceil(values.length / most));
+  return step === 1 ? values : values.filter((value, k) => k % step === 0);
+}
+
+// What is marked, and the way from one stretch of it to the next.
+class Marked {
+  constructor(scene) {
+    this.scene = scene;
+    this.bar = put("div", null, null, "marked");
+    this.bar.hidden = true;
+    scene.root.prepend(this.bar);
+    this.text = put("span", this.bar);
+    this.text.setAttribute("role", "status");
+    this.next = press(this.bar, "Next stretch", "Zoom to the next stretch of these samples", () => this.step(1));
+    press(this.bar, "Previous", "Zoom to the previous stretch of these samples", () => this.step(-1));
+    press(this.bar, "Clear", "Mark no samples", () => { scene.clear(); this.bar.hidden = true; });
+  }
+
+  show(label) {
+    this.stretches = this.scene.groups.flatMap(group => group.stretches.map(span => ({group, span})));
+    this.label = label;
+    this.at = -1;
+    this.bar.hidden = false;
+    const samples = this.scene.groups.reduce((sum, group) => sum + group.marked, 0);
+    const many = this.stretches.length;
+    this.text.textContent = `${label}: ${samples} samples in ${many} stretch${many === 1 ? "" : "es"}`;
+    if (!many) return;
+    const longest = this.stretches.reduce((best, {span}, k) => span[1] - span[0] > this.length(best) ? k : best, 0);
+    this.stretches[longest].group.box.scrollIntoView({block: "start", behavior: "instant"});
+    this.at = longest - 1;
+    this.next.focus({preventScroll: true});
+  }
+
+  length(k) {
+    return this.stretches[k].span[1] - this.stretches[k].span[0];
+  }
+
+  step(by) {
+    if (!this.stretches.length) return;
+    this.at = (this.at + by + this.stretches.length) % this.stretches.length;
+    const {group, span} = this.stretches[this.at];
+    const [from, to] = span.map(k => group.time[k]), wide = Math.max(to - from, 20 * (group.time[1] - group.time[0]));
+    group.view(from - wide / 2, to + wide / 2);
+    group.box.scrollIntoView({block: "nearest", behavior: "instant"});
+    this.text.textContent = `${this.label}: stretch ${this.at + 1} of ${this.stretches.length}, ${short(from)} to ${short(to)} s`;
+  }
+}
+
+// The plots of one recording.
+class TimePlots {
+  constructor(scene, place, spec, key) {
+    Object.assign(this, {scene, spec, key, box: place, columns: {}, stretches: [], spans: [], marked: 0, plots: []});
+    const t = spec.time;
+    this.time = t.data ? floats(this.text(t.data), Float64Array) : Float64Array.from({length: t.count}, (_, k) => t.start + k * t.step);
+    place.classList.add("time");
+    place.setAttribute("role", "group");
+    place.setAttribute("aria-label", `${spec.name} against time; arrow keys move, plus and minus zoom, 0 shows all, Shift with an arrow moves the cursor`);
+    place.tabIndex = 0;
+    place.onkeydown = event => this.key_(event);
+    this.tools();
+    spec.plots.forEach((plot, k) => this.draw(plot, k === spec.plots.length - 1));
+    place.addEventListener("wheel", event => {
+      if (!event.ctrlKey && !event.shiftKey) return; // the wheel alone scrolls the page
+      event.preventDefault();
+      const u = this.plots[0], at = u.posToVal(event.clientX - u.over.getBoundingClientRect().left, "x");
+      this.zoom((event.deltaY || event.deltaX) > 0 ? 1.4 : 1 / 1.4, at);
+    }, {passive: false});
+  }
+
+  text(name) {
+    return this.scene.source.getElementById(this.spec.data[name]).textContent;
+  }
+
+  column(name) {
+    return this.columns[name] ??= floats(this.text(name), Float32Array);
+  }
+
+  state(name) {
+    return this.spec.states[name] && this.column(this.spec.states[name]);
+  }
+
+  lacks(equation) {
+    return this.spec.lacks[equation] && this.column(this.spec.lacks[equation]);
+  }
+
+  values(line) {
+    const from = this.column(line.data);
+    let found = from;
+    if (line.less) {
+      const less = this.column(line.less);
+      found = from.map((value, k) => value - less[k]);
+    }
+    return found.some(Number.isNaN) ? Array.from(found, value => Number.isNaN(value) ? null : value) : found;
+  }
+
+  tools() {
+    const bar = put("div", this.box, null, "tools");
+    press(bar, "All", "Show the whole recording", () => this.all());
+    press(bar, "+", "Zoom in", () => this.zoom(0.5));
+    press(bar, "−", "Zoom out", () => this.zoom(2));
+    press(bar, "◀", "Earlier", () => this.move(-0.5));
+    press(bar, "▶", "Later", () => this.move(0.5));
+    this.limits = ["from", "to"].map(word => {
+      const label = put("label", bar, `${word} `);
+      const input = put("input", label);
+      Object.assign(input, {type: "text", inputMode: "decimal", size: 9, autocomplete: "off"});
+      input.setAttribute("aria-label", `${word}, in seconds, of what is shown of ${this.spec.name}`);
+      input.onchange = () => this.view(...this.limits.map(box => Number(box.value.replace(",", "."))));
+      return input;
+    });
+    put("span", bar, "s");
+    press(bar, "Save CSV", "Save the samples in view as CSV", () => this.save());
+    if (this.scene.actions.range) press(bar, "Work on this range", "Use only this range of the recording in the next steps", () => this.scene.actions.range(this.spec.name, ...this.shown(), this.spec));
+  }
+
+  draw(spec, last) {
+    const unit = unitOf(spec.unit), value = (u, v) => v === null || v === undefined ? "–" : `${short(v)}${unit ? " " + unit : ""}`;
+    const series = spec.lines.map(line => ({label: line.name, stroke: () => colour(line.role), width: 1.3, value, points: {size: 4}}));
+    const data = [this.time, ...spec.lines.map(line => this.values(line))];
+    const u = this.scene.add({
+      height: (spec.height || 190) + (last ? 20 : 0), axes: axes(last ? "time, s" : "", spec.title.endsWith(" error") ? `error, ${unit}` : `${spec.title}, ${unit}`),
+      scales: {x: {time: false}, y: {range: (_, low, high) => rangeOf(low, high)}},
+      series: [{label: "time", value: (_, v) => v === null || v === undefined ? "–" : `${short(v, 9)} s`}, ...series],
+      cursor: {sync: {key: this.key, setSeries: false}, drag: {x: true, y: false}, points: {size: 6}},
+      legend: {live: true},
+      hooks: {drawClear: [plot => this.back(plot, spec.band)], setScale: [(plot, scale) => { if (scale === "x") this.follow(plot); }]},
+    }, data, this.box);
+    const ends = line => { const [low, high] = extremes(line); return `${short(low, 4)} to ${short(high, 4)} ${unit}`; };
+    const wrap = u.root.querySelector(".u-wrap");
+    wrap.setAttribute("role", "img");
+    wrap.setAttribute("aria-label", `${spec.title} against time: ${spec.lines.map((line, k) => `${line.name} ${ends(data[k + 1])}`).join("; ")}`);
+    this.plots.push(u);
+    this.follow(u);
+  }
+
+  // Behind the lines: the noise floor, and the samples that are marked.
+  back(u, band) {
+    const {ctx, bbox} = u;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    if (band > 0) {
+      const high = u.valToPos(band, "y", true), low = u.valToPos(-band, "y", true);
+      ctx.globalAlpha = 0.3;
+      ctx.fillStyle = colour("noise");
+      ctx.fillRect(bbox.left, high, bbox.width, low - high);
+    }
+    ctx.globalAlpha = 0.28;
+    ctx.fillStyle = colour("marked");
+    const {min, max} = u.scales.x;
+    let left = null, right = null;
+    const fill = () => { if (left !== null) ctx.fillRect(left, bbox.top, Math.max(right - left, 1.5), bbox.height); };
+    for (const [a, b] of this.spans) {
+      if (this.time[b] < min || this.time[a] > max) continue;
+      const from = u.valToPos(this.time[a], "x", true), to = u.valToPos(this.time[b], "x", true);
+      if (left !== null && from <= right + 1) right = Math.max(right, to);
+      else { fill(); left = from; right = to; }
+    }
+    fill();
+    ctx.restore();
+  }
+
+  // Marks samples; if none of them is in view, all of the recording is shown.
+  mark(what, least) {
+    const test = [];
+    for (const [name, [low, high]] of Object.entries(what.within)) {
+      const values = this.state(name), slack = 1e-6 * Math.max(Math.abs(low), Math.abs(high)); // float32 at the border
+      if (values) test.push(k => values[k] >= low - slack && values[k] <= high + slack);
+    }
+    const lacking = what.lacks && this.lacks(what.lacks);
+    if (what.lacks) test.push(lacking ? k => Math.abs(lacking[k]) >= least : () => false);
+    this.spans = [];
+    this.marked = 0;
+    for (let k = 0; k < this.time.length; k++) {
+      if (!test.every(holds => holds(k))) continue;
+      this.marked++;
+      const open = this.spans.at(-1);
+      if (open && open[1] === k - 1) open[1] = k;
+      else this.spans.push([k, k]);
+    }
+    const near = MERGE * this.time.length;
+    this.stretches = [];
+    for (const [a, b] of this.spans) {
+      const open = this.stretches.at(-1);
+      if (open && a - open[1] <= near) open[1] = b;
+      else this.stretches.push([a, b]);
+    }
+    const [from, to] = this.shown();
+    if (!this.spans.some(([a, b]) => this.time[b] >= from && this.time[a] <= to)) this.all();
+    this.plots.forEach(plot => plot.redraw(false, false));
+  }
+
+  unmark() {
+    this.spans = this.stretches = [];
+    this.marked = 0;
+    this.plots.forEach(plot => plot.redraw(false, false));
+  }
+
+  shown() {
+    const {min, max} = this.plots[0].scales.x;
+    return [min, max];
+  }
+
+  // All plots show the same stretch of time.
+  follow(from) {
+    const {min, max} = from.scales.x;
+    if (min === null || min === undefined) return;
+    this.plots.forEach(plot => { if (plot !== from && (plot.scales.x.min !== min || plot.scales.x.max !== max)) plot.setScale("x", {min, max}); });
+    this.limits[0].value = short(min, 7);
+    this.limits[1].value = short(max, 7);
+  }
+
+  view(from, to) {
+    const first = this.time[0], last = this.time.at(-1);
+    if (!(to > from)) return this.follow(this.plots[0]);
+    const wide = Math.min(Math.max(to - from, 2 * (last - first) / this.time.length), last - first);
+    const start = Math.min(Math.max(from, first), last - wide);
+    this.plots[0].setScale("x", {min: start, max: start + wide});
+  }
+
+  all() {
+    this.view(this.time[0], this.time.at(-1));
+  }
+
+  zoom(factor, at) {
+    const [from, to] = this.shown(), still = at ?? (from + to) / 2;
+    this.view(still - factor * (still - from), still + factor * (to - still));
+  }
+
+  move(share) {
+    const [from, to] = this.shown(), by = share * (to - from);
+    this.view(from + by, to + by);
+  }
+
+  key_(event) {
+    if (event.target !== this.box || event.ctrlKey || event.altKey || event.metaKey) return;
+    const act = {ArrowLeft: () => this.move(-0.2), ArrowRight: () => this.move(0.2), "+": () => this.zoom(0.5), "=": () => this.zoom(0.5), "-": () => this.zoom(2), 0: () => this.all(), Home: () => this.all()};
+    const step = event.shiftKey && {ArrowLeft: -1, ArrowRight: 1}[event.key];
+    if (!step && !act[event.key]) return;
+    event.preventDefault();
+    event.stopPropagation();
+    if (step) this.point(step);
+    else act[event.key]();
+  }
+
+  // The cursor one sample further; the numbers are in the legends.
+  point(step) {
+    const u = this.plots[0], [from, to] = this.shown();
+    let k = u.cursor.idx ?? this.time.findIndex(t => t >= (from + to) / 2);
+    k = Math.min(Math.max(k + step, 0), this.time.length - 1);
+    this.plots.forEach(plot => plot.setCursor({left: plot.valToPos(this.time[k], "x"), top: 10}, false));
+  }
+
+  save() {
+    const [from, to] = this.shown(), names = Object.keys(this.spec.data).filter(name => name !== "time_s"), rows = [];
+    rows.push(["time_s", ...names.map(name => name.replaceAll(/[^A-Za-z0-9]+/g, "_"))].join(","));
+    for (let k = 0; k < this.time.length; k++)
+      if (this.time[k] >= from && this.time[k] <= to)
+        rows.push([Number(this.time[k].toPrecision(10)), ...names.map(name => Number.isNaN(this.column(name)[k]) ? "" : Number(this.column(name)[k].toPrecision(8)))].join(","));
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([rows.join("\n") + "\n"], {type: "text/csv"}));
+    link.download = `${this.spec.name.replace(/\.\w+$/, "").replaceAll(/[^\w.-]+/g, "_")}_${short(from, 5)}-${short(to, 5)}s.csv`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+}
+
+function rangeOf(low, high) {
+  if (low === null || low === undefined) return [0, 1];
+  const room = 0.06 * (high - low) || 0.05 * Math.abs(high) || 1;
+  return [low - room, high + room];
+}
+
+function extremes(values) {
+  let low = Infinity, high = -Infinity;
+  for (const value of values) if (value !== null) { if (value < low) low = value; if (value > high) high = value; }
+  return [low, high];
+}
+
+// Curves over one axis: lines by name, a band, marks with a dotted line.
+function drawCurves(scene, place, spec) {
+  const lines = spec.lines.map(line => ({label: line.name, stroke: () => colour(line.role), width: 1.6, value: (u, v) => short(v, 4), points: {show: false}}));
+  const edges = spec.band.map(() => ({label: "", stroke: "transparent", points: {show: false}, value: () => ""}));
+  const dashes = [[], [8, 4], [2, 3], [10, 3, 2, 3]], seen = {};
+  spec.lines.forEach((line, k) => { seen[line.role] = (seen[line.role] ?? -1) + 1; lines[k].dash = dashes[seen[line.role] % dashes.length]; });
+  const n = lines.length;
+  const u = scene.add({
+    height: 300, axes: axes(spec.x, spec.y),
+    scales: {x: spec.logarithmic ? {time: false, distr: 3} : {time: false}, y: {range: (_, low, high) => rangeOf(low, high)}},
+    series: [{label: spec.x, value: (_, v) => short(v, 4)}, ...lines, ...edges],
+    bands: spec.band.length ? [{series: [n + 2, n + 1], fill: () => colour("noise").replace("rgb(", "rgba(").replace(")", ", 0.35)")}] : [],
+    cursor: {drag: {x: true, y: false}},
+    hooks: {draw: [plot => drawMarks(plot, spec.marks)]},
+  }, [spec.at, ...spec.lines.map(line => line.y), ...spec.band], place);
+  if (spec.band.length) [...u.root.querySelectorAll(".u-series")].slice(n + 1).forEach(row => { row.hidden = true; });
+  const wrap = u.root.querySelector(".u-wrap");
+  wrap.setAttribute("role", "img");
+  wrap.setAttribute("aria-label", `${spec.y} against ${spec.x}: ${spec.lines.map(line => line.name).join(", ")}`);
+}
+
+function drawMarks(u, marks) {
+  const {ctx, bbox} = u, ratio = devicePixelRatio;
+  ctx.save();
+  ctx.strokeStyle = ctx.fillStyle = colour("faded");
+  ctx.font = `${12 * ratio}px system-ui, sans-serif`;
+  ctx.setLineDash([2 * ratio, 4 * ratio]);
+  Object.entries(marks).sort((a, b) => a[1] - b[1]).forEach(([name, at], k) => {
+    if (at < u.scales.x.min || at > u.scales.x.max) return;
+    const x = u.valToPos(at, "x", true);
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    const right = x + ctx.measureText(name).width + 6 * ratio > bbox.left + bbox.width;
+    ctx.textAlign = right ? "right" : "left";
+    ctx.fillText(name, x + (right ? -4 : 4) * ratio, bbox.top + (14 + 15 * k) * ratio); // one below the other: none covers its neighbour
+  });
+  ctx.restore();
+}
+
+// A point for each sample, of all recordings.
+function drawCloud(scene, place, spec) {
+  const groups = scene.groups.filter(group => group.lacks(spec.lacks) && group.state(spec.state));
+  const roles = ["predicted", "lacking", "measured", "good", "doubt"], share = Math.floor(MOST_POINTS / Math.max(groups.length, 1));
+  const clouds = groups.map(group => {
+    const x = group.state(spec.state), y = group.lacks(spec.lacks), step = Math.max(1, Math.ceil(x.length / share));
+    const kept = [...x.keys()].filter(k => k % step === 0 && Number.isFinite(x[k]) && Number.isFinite(y[k]));
+    return [kept.map(k => x[k]), kept.map(k => y[k])];
+  });
+  const ends = k => rangeOf(...clouds.map(cloud => extremes(cloud[k])).reduce(([a, b], [c, d]) => [Math.min(a, c), Math.max(b, d)], [Infinity, -Infinity]));
+  if (!clouds.some(cloud => cloud[0].length)) return;
+  const points = (u, k) => {
+    const [x, y] = u.data[k], size = 2 * devicePixelRatio, {ctx} = u;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
+    ctx.clip();
+    ctx.globalAlpha = 0.55;
+    ctx.fillStyle = colour(roles[(k - 1) % roles.length]);
+    for (let j = 0; j < x.length; j++) ctx.fillRect(u.valToPos(x[j], "x", true) - size / 2, u.valToPos(y[j], "y", true) - size / 2, size, size);
+    ctx.restore();
+    return null;
+  };
+  const u = scene.add({
+    mode: 2, height: 300, axes: axes(spec.x, spec.y), legend: {show: false}, cursor: {show: false},
+    scales: {x: {time: false, range: () => ends(0)}, y: {range: () => ends(1)}},
+    series: [{}, ...groups.map(group => ({label: group.spec.name, paths: points, stroke: "transparent"}))],
+  }, [null, ...clouds], place);
+  const wrap = u.root.querySelector(".u-wrap");
+  wrap.setAttribute("role", "img");
+  wrap.setAttribute("aria-label", `${spec.y} against ${spec.x}, ${clouds.reduce((sum, cloud) => sum + cloud[0].length, 0)} points`);
+  const thinned = groups.some(group => group.time.length > share) ? `; at most ${MOST_POINTS} points, evenly chosen` : "";
+  if (groups.length > 1 || thinned) put("p", place, groups.map((group, k) => `${group.spec.name}: ${["blue", "orange", "grey", "green", "brown"][k % 5]}`).join(", ") + thinned, "note");
+}
