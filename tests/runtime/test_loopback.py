@@ -1,13 +1,20 @@
 """The server of the pages: who is answered and who is not."""
 
+import contextlib
 import http.client
+import os
+import socket
+import threading
+import time
 from pathlib import Path
 
 import pytest
+from helpers.processes import LIMIT_S, eventually
 
 from motorlens_runtime.errors import DeviceError
-from motorlens_runtime.web import style
-from motorlens_runtime.web.loopback import MOST_OCTETS, Answer, LoopbackServer
+from motorlens_runtime.web import connections, style
+from motorlens_runtime.web.connections import MOST_SERVED
+from motorlens_runtime.web.loopback import MOST_OCTETS, Answer, LoopbackServer, _user_of
 
 
 @pytest.fixture
@@ -17,8 +24,8 @@ def server():
     server.close()
 
 
-def ask(server, path="/", method="GET", body=None, **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
+def ask(server, path="/", method="GET", body=None, seconds=LIMIT_S, **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=seconds)
     named = {name.replace("_", "-"): value for name, value in headers.items()}
     connection.request(method, path, body, named)
     reply = connection.getresponse()
@@ -37,8 +44,148 @@ def test_the_address_that_is_printed_opens_and_its_cookie_opens_the_rest(server)
     assert (status, text) == (200, "GET /")
     cookie = headers["Set-Cookie"]
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
-    assert ask(server, "/anything", Cookie=cookie.partition(";")[0])[:2] == (200, "GET /anything")
     assert "default-src 'none'" in headers["Content-Security-Policy"]
+    shown = {"Cookie": cookie.partition(";")[0]}
+    for site in ("same-origin", "none"):
+        assert ask(server, "/anything", **shown, Sec_Fetch_Site=site)[:2] == (200, "GET /anything")
+    # A server on another port of this machine is shown the cookie too, and a page of it is of the same site.
+    for said in ({"Sec_Fetch_Site": "same-site"}, {"Sec_Fetch_Site": "cross-site"}, {}):
+        assert ask(server, "/anything", **shown, **said)[0] == 403
+    assert server.token not in cookie
+    assert (
+        ask(server, "/anything", Authorization=f"Bearer {cookie.partition(';')[0].partition('=')[2]}")[0]
+        == 403
+    )
+
+
+def test_no_other_page_shows_it_in_a_frame(server):
+    for path in ("/", "/report.html"):
+        headers = ask(server, path, **bearer(server))[2]
+        assert "frame-ancestors 'self'" in headers["Content-Security-Policy"]
+        assert headers["X-Frame-Options"] == "SAMEORIGIN"
+
+
+def test_what_a_command_line_shows_opens_once(server):
+    address = server.url_for_once()
+    assert server.token not in address and address != server.url_for_once()
+    path = address.removeprefix(f"http://127.0.0.1:{server.port}")
+    assert ask(server, "/other" + path[1:])[0] == 403
+    status, _, headers = ask(server, path)
+    assert status == 200
+    shown = {"Cookie": headers["Set-Cookie"].partition(";")[0], "Sec_Fetch_Site": "none"}
+    assert ask(server, path, **shown)[0] == 200  # the browser loads it again
+    assert ask(server, path)[0] == 403
+
+
+def test_another_users_program_is_refused_whatever_it_knows(server, monkeypatch):
+    assert ask(server, **bearer(server))[0] == 200
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+    # The kernel says that the program at the other end runs as `mine`; root may do anything anyway.
+    assert ask(server, **bearer(server))[0] == (200 if mine == 0 else 403)
+    with socket.create_connection(("127.0.0.1", server.port)) as line:
+        assert _user_of(line) in (None, mine)
+
+
+def test_a_thousand_requests_beside_half_open_connections_are_all_answered():
+    """200 clients, 300 connections that never finish their request: nobody is lost, and at most 64 are served at once."""
+    now, most, lock = [0], [0], threading.Lock()
+
+    def answer(request):
+        with lock:
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+        time.sleep(0.005)
+        with lock:
+            now[0] -= 1
+        return Answer(request.path.encode(), "text/plain")
+
+    server = LoopbackServer(answer)
+    half_open = [socket.create_connection(("127.0.0.1", server.port), timeout=LIMIT_S) for _ in range(300)]
+    for k, line in enumerate(half_open):
+        line.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n"[: k % 26])
+    lost = []
+
+    def client(number):
+        for k in range(5):
+            try:
+                found = ask(server, f"/{number}/{k}", seconds=LIMIT_S, **bearer(server))[:2]
+            except OSError as error:
+                found = error
+            if found != (200, f"/{number}/{k}"):
+                lost.append(found)
+
+    clients = [threading.Thread(target=client, args=(number,)) for number in range(200)]
+    for thread in clients:
+        thread.start()
+    for thread in clients:
+        thread.join(LIMIT_S)
+    threads = sum(thread.name.startswith("pages") for thread in threading.enumerate())
+    server.close()
+    for line in half_open:
+        line.close()
+    assert lost == [] and not any(thread.is_alive() for thread in clients)
+    assert 8 < most[0] <= MOST_SERVED == 64
+    assert threads <= MOST_SERVED + 1
+
+
+def test_a_head_that_comes_byte_by_byte_ends_at_one_deadline(monkeypatch):
+    monkeypatch.setattr(connections, "HEAD_S", 0.3)
+    server = LoopbackServer(lambda request: Answer(b""))
+    with socket.create_connection(("127.0.0.1", server.port), timeout=LIMIT_S) as line:
+        line.settimeout(0.05)
+
+        def closed():
+            try:
+                line.send(b"x")
+                return line.recv(1) == b""
+            except TimeoutError:
+                return False
+            except OSError:
+                return True
+
+        eventually(closed, "the end of the connection")
+    server.close()
+
+
+def test_whoever_has_waited_longest_makes_room(monkeypatch):
+    monkeypatch.setattr(connections, "MOST_WAITING", 3)
+    server = LoopbackServer(lambda request: Answer(b""))
+    lines = [socket.create_connection(("127.0.0.1", server.port), timeout=LIMIT_S) for _ in range(5)]
+    assert [line.recv(1) for line in lines[:2]] == [b"", b""]
+    assert ask(server, **bearer(server))[0] == 200
+    server.close()
+    for line in lines:
+        line.close()
+
+
+def test_a_connection_takes_several_requests_in_any_portions(server):
+    head = (
+        f"GET /{{}} HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nAuthorization: Bearer {server.token}\r\n\r\n"
+    )
+    post = head.replace("GET", "POST").replace(
+        "\r\n\r\n", "\r\nContent-Type: application/json\r\nContent-Length: 3\r\n\r\n[1]"
+    )
+    octets = (head.format("a") + post.format("b") + head.format("c")).encode()
+    for portion in (1, 50, len(octets)):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=LIMIT_S) as line:
+            for start in range(0, len(octets), portion):
+                line.sendall(octets[start : start + portion])
+            heard = b""
+            while heard.count(b"HTTP/1.1 200") < 3 or not heard.endswith(b"GET /c"):
+                heard += line.recv(1 << 16)
+        assert [heard.index(text) for text in (b"GET /a", b"POST /b", b"GET /c")] == sorted(
+            heard.index(text) for text in (b"GET /a", b"POST /b", b"GET /c")
+        )
+
+
+def test_a_head_without_end_is_refused(server):
+    with socket.create_connection(("127.0.0.1", server.port), timeout=LIMIT_S) as line:
+        with contextlib.suppress(OSError):
+            line.sendall(b"GET / HTTP/1.1\r\n" + b"X-A: b\r\n" * 20_000)
+        with contextlib.suppress(ConnectionResetError):
+            assert line.recv(100).startswith(b"HTTP/1.1 431")
+    assert ask(server, **bearer(server))[0] == 200
 
 
 def test_it_listens_on_loopback_alone(server):
@@ -73,6 +220,7 @@ def test_a_name_that_points_here_and_another_site_are_refused(server):
 
 def test_long_and_endless_bodies_are_refused(server):
     json = {"Content_Type": "application/json", **bearer(server)}
+    assert ask(server, "/x", "POST", b"", Content_Length="9" * 20, **json)[0] == 413
     assert ask(server, "/x", "POST", b"", Content_Length=str(MOST_OCTETS + 1), **json)[0] == 413
     assert ask(server, "/x", "POST", b"", Content_Length="-1", **json)[0] == 413
 

@@ -197,7 +197,8 @@ def test_only_its_own_files_and_only_with_the_key(page):
         assert ask(page, path, **key(page.url))[0] == 200
     for path in ("/../page.py", "/page.py", "/%2e%2e/page.py", "//etc/passwd", "/history.py"):
         assert ask(page, path, **key(page.url))[0] == 404
-    assert ask(page, "/live?window=much", **key(page.url))[0] == 400
+    for window in ("much", "nan", "inf", "-inf"):
+        assert ask(page, f"/live?window={window}", **key(page.url))[0] == 400
     # Nothing is fetched from elsewhere: the page works on a PC without a network.
     for path in ("/", "/page.js", "/page.css", "/style.css"):
         assert b"http" not in ask(page, path, **key(page.url))[1]
@@ -212,6 +213,30 @@ def test_the_publisher_serves_this_machine_only(capsys):
     assert capsys.readouterr().err == f"motorlens monitor: {served.url}\n"
     assert ask(served, "/about")[0] == 200
     served.close()
+
+
+def test_a_key_that_stays_is_in_a_file_of_its_user_and_on_no_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    urls = []
+    for _ in range(2):
+        served = open_publisher("web://127.0.0.1?key_file=key", HEADER)
+        urls.append(served.url.partition("token=")[2])
+        assert served.url.partition("token=")[2] not in served.url_for_once()
+        served.close()
+    assert urls[0] == urls[1] == (tmp_path / "key").read_text().strip()
+    assert (tmp_path / "key").stat().st_mode & 0o777 == 0o600
+    (tmp_path / "key").chmod(0o644)
+    for url, said in (
+        ("?key_file=key", "chmod 600"),
+        ("?key_file=no/key", "No such"),
+        ("?token=abc", "key_file=FILE"),
+    ):
+        with pytest.raises(DataError, match=said):
+            open_publisher(f"web://127.0.0.1{url}", HEADER)
+    (tmp_path / "key").write_text("short")
+    (tmp_path / "key").chmod(0o600)
+    with pytest.raises(DataError, match="16 characters"):
+        open_publisher("web://127.0.0.1?key_file=key", HEADER)
 
 
 # A run of its own

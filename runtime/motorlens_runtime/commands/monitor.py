@@ -72,7 +72,7 @@ def _attached(arguments: argparse.Namespace) -> int:
     there = attach(arguments.attach)
     try:
         page = MonitorPage(there.header, arguments.port)
-        announce("monitor", page.url, not arguments.no_browser)
+        announce("monitor", page.url, None if arguments.no_browser else page.url_for_once())
         told: dict[str, Any] = {}
         happened: list[dict[str, Any]] = []
         end = time.monotonic() + arguments.duration

@@ -79,6 +79,10 @@ class MonitorPage:
         """Where the page is, key included."""
         return self._server.url
 
+    def url_for_once(self) -> str:
+        """An address that opens the page one time."""
+        return self._server.url_for_once()
+
     def publish(self, estimates: Estimates) -> None:
         """Keep rows."""
         if len(estimates):
@@ -120,7 +124,10 @@ class MonitorPage:
             return _json(self.about())
         if request.path == "/live":
             try:
-                window_s = min(max(float(request.query.get("window", "60")), 1.0), _DAY_S)
+                window_s = float(request.query.get("window", "60"))
+                if not math.isfinite(window_s):
+                    raise ValueError
+                window_s = min(max(window_s, 1.0), _DAY_S)
                 level, after = int(request.query.get("level", "-1")), int(request.query.get("after", "0"))
             except ValueError:
                 return refusal(400, "window, level and after are numbers")

@@ -5,9 +5,9 @@ import threading
 import webbrowser
 
 
-def announce(command: str, url: str, opened: bool) -> None:
-    """Print the address of a page on standard error; if `opened`, open the user's browser there too."""
+def announce(command: str, url: str, once: str | None) -> None:
+    """Print the address of a page on standard error; open `once`, an address good for one time, in the user's browser."""
     print(f"motorlens {command}: {url}", file=sys.stderr, flush=True)
-    if opened:
+    if once is not None:
         # A browser that must be started first takes its time.
-        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+        threading.Thread(target=webbrowser.open, args=(once,), daemon=True).start()

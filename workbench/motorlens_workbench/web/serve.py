@@ -147,7 +147,7 @@ def serve(arguments: argparse.Namespace) -> int:
         # Before the address is told: who reads it may end the command at once.
         stopped = threading.Event()
         signal.signal(signal.SIGTERM, lambda number, frame: stopped.set())
-        announce("workbench", server.url, not arguments.no_browser)
+        announce("workbench", server.url, None if arguments.no_browser else server.url_for_once())
         try:
             stopped.wait()
         except KeyboardInterrupt:
