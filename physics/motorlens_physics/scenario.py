@@ -20,8 +20,12 @@ from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Array, Recording
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
-from motorlens_runtime.errors import DataError
+from motorlens_runtime.errors import DataError, ModelError
 
+# A test may have this many rows, some 700 MB of channels: what is planned from fitted values is bounded before it is begun.
+MOST_ROWS = 10_000_000
+# A test that chooses its own sampling period has at most this many: five times what the plans ask for of usual motors.
+ROWS_OF_ITS_OWN = 200_000
 # An open circuit is an armature resistance, and a locked rotor an inertia, this many times the real one.
 IMMOVABLE = 1e9
 
@@ -58,8 +62,20 @@ class Scenario:
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
-        """What to do to this motor."""
+        """What to do to this motor.
+
+        Raises:
+            ModelError: a motor whose time constants make the test too long to be performed.
+        """
         raise TypeError(f"{type(self).__name__} has no plan")
+
+    def times(self, duration_s: float, period_s: float, start_s: float = 0.0) -> Array:
+        """Evenly spaced times at the period that was asked for, or else at this one, as far as the rows allow.
+
+        Raises:
+            ModelError: as `grid`.
+        """
+        return grid(duration_s, self.period_s or max(period_s, duration_s / ROWS_OF_ITS_OWN), start_s)
 
 
 def scenarios() -> dict[str, type[Scenario]]:
@@ -179,8 +195,27 @@ def parse_noise(arguments: Sequence[str], plate: Rated) -> dict[str, float]:
 
 
 def grid(duration_s: float, period_s: float, start_s: float = 0.0) -> Array:
-    """Evenly spaced times from `start_s`, both ends included."""
+    """Evenly spaced times from `start_s`, both ends included.
+
+    Raises:
+        ModelError: more than `MOST_ROWS`, or a length that is no number.
+    """
+    bounded(duration_s, period_s)
     return np.asarray(start_s + period_s * np.arange(round(duration_s / period_s) + 1), dtype=np.float64)
+
+
+def bounded(duration_s: float, period_s: float) -> None:
+    """Refuse a test of more than `MOST_ROWS` before anything is allocated for it.
+
+    Raises:
+        ModelError: it would have more, or its length is no number.
+    """
+    rows = duration_s / period_s if period_s > 0 else np.inf
+    if not rows <= MOST_ROWS:
+        raise ModelError(
+            f"a test of {duration_s:.3g} s sampled every {period_s:.3g} s would have {rows:.3g} rows, more than "
+            f"{MOST_ROWS:,}; ask for a shorter duration or a lower rate, or look at the motor's J, b, L and R_a0"
+        )
 
 
 def constant(time_s: Array, voltage_V: float, load_torque_Nm: float, ambient_C: float) -> Inputs:

@@ -1,7 +1,7 @@
 """Sensitivities of a trajectory to parameters, initial states and effects it lacks, in one forward pass.
 
 Internal differentiation along the accepted steps of the simulation (Bock 1981, doi:10.1007/978-3-642-68220-9_8), here of
-the variational equations, see `compile_variational`. Where the rotor stops or turns, the jump of the sensitivities is
+the variational equations, see `compile.variational`. Where the rotor stops or turns, the jump of the sensitivities is
 taken into account; what rests does not respond.
 """
 
@@ -70,6 +70,7 @@ def linearise(
     *,
     tolerance: float = TOLERANCE,
     smooth: bool = False,
+    most_steps: int | None = None,
 ) -> tuple[Trajectory, Linearisation]:
     """Simulate, and linearise along the way.
 
@@ -77,7 +78,7 @@ def linearise(
         ModelError: as `simulate`.
     """
     trajectory, _, linear = linearise_and_differentiate(
-        motor, inputs, initial, (), tolerance=tolerance, smooth=smooth
+        motor, inputs, initial, (), tolerance=tolerance, smooth=smooth, most_steps=most_steps
     )
     return trajectory, linear
 
@@ -90,6 +91,7 @@ def linearise_and_differentiate(
     *,
     tolerance: float = TOLERANCE,
     smooth: bool = False,
+    most_steps: int | None = None,
 ) -> tuple[Trajectory, dict[str, dict[str, Array]], Linearisation]:
     """What `sensitivities` and `linearise` give, from one pass.
 
@@ -98,7 +100,7 @@ def linearise_and_differentiate(
     """
     n, steps = len(motor.states()), inputs.time_s.size - 1
     matrices = np.empty((max(steps, 1), n, 3 * n))[:steps]
-    trajectory, kept = _forward(motor, inputs, initial, keys, (), tolerance, smooth, matrices)
+    trajectory, kept = _forward(motor, inputs, initial, keys, (), tolerance, smooth, matrices, most_steps)
     linear = Linearisation(tuple(trajectory.states), matrices)
     return trajectory, _by_key(keys, trajectory, kept), linear
 
@@ -112,6 +114,7 @@ def sensitivities(
     *,
     tolerance: float = TOLERANCE,
     smooth: bool = False,
+    most_steps: int | None = None,
 ) -> tuple[Trajectory, dict[str, dict[str, Array]]]:
     """Simulate, and differentiate all states with respect to parameters, initial states and effects at their null.
 
@@ -124,6 +127,7 @@ def sensitivities(
         candidates: effects that the motor lacks, with their shapes chosen; their switches are taken at null.
         tolerance: of the simulation's steps.
         smooth: whether friction is smooth, see `simulate`.
+        most_steps: how many steps may be tried, see `simulate`.
 
     Returns:
         The trajectory, and for each key and each candidate's "name.switch" a mapping of state to (N,).
@@ -136,7 +140,7 @@ def sensitivities(
         raise ModelError(f"candidate {taken[0]!r} is in the motor already")
     columns = (*keys, *(switch_key(effect) for effect in candidates))
     trajectory, kept = _forward(
-        motor, inputs, initial, keys, candidates, tolerance, smooth, np.empty((0, 0, 0))
+        motor, inputs, initial, keys, candidates, tolerance, smooth, np.empty((0, 0, 0)), most_steps
     )
     return trajectory, _by_key(columns, trajectory, kept)
 
@@ -156,6 +160,7 @@ def _forward(
     tolerance: float,
     smooth: bool,
     matrices: Array,
+    most_steps: int | None,
 ) -> tuple[Trajectory, Array]:
     system, code = structure(motor, candidates, forced=True)
     x = initial_states(replace(motor, effects=(*motor.effects, *candidates)), system, initial)
@@ -184,11 +189,11 @@ def _forward(
         np.zeros(S.shape), total, masses,
     )  # fmt: skip
     out = np.empty((samples, len(system.states)))
-    run(
+    taken = run(
         system, code, motor, inputs, x, out, tolerance=tolerance, smooth=smooth, candidates=candidates,
-        workspace=(S, work, kept, matrices),
+        workspace=(S, work, kept, matrices), most_steps=most_steps,
     )  # fmt: skip
-    trajectory = Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(own)})
+    trajectory = Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(own)}, taken)
     asked = [*keys, *(switch_key(effect) for effect in candidates)]
     if asked == order:
         return trajectory, kept

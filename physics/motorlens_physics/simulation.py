@@ -2,7 +2,7 @@
 
 One code path serves smooth and real friction. A rotor that turns carries its friction in full (see `symbols.SIDE`); where
 its speed passes through zero the step is cut, and the rotor then rests as long as load and stiction can hold it (see
-`compile_loop`). With `smooth=True` friction is the effects' smooth form throughout, nothing rests, and the load drives
+`compile.loop`). With `smooth=True` friction is the effects' smooth form throughout, nothing rests, and the load drives
 the rotor either way: a differentiable motor.
 
 Steps adapt inside each sample so that the error of each stays below `tolerance`, relative to the size of the state; an
@@ -12,6 +12,7 @@ inrush inside one sample of a second is resolved, and a steady state is passed i
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,12 @@ from motorlens_runtime.errors import DataError, ModelError
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6
-# Steps that a simulation in its smooth form, the one for fitting, may take for each sample on average.
-STEPS_A_SAMPLE = 400
+# Steps, rejected ones included, that a simulation may try for each sample on average unless its caller says otherwise, and
+# how many beside. A sample in which everything settles anew takes 35 or so whatever the time constants
+# (`benchmarks/bounded.py`), so a motor that needs more oscillates faster than the samples show.
+STEPS_A_SAMPLE, STEPS_BESIDE = 100, 10_000
+# Where the loop keeps its counts, see `compile.loop.integrate`.
+_ACCEPTED, _REJECTED, _ALLOWED = 1, 2, 3
 _EMPTY = np.zeros((0, 0, 0))
 # Where sensitivities would go: S, what they are worked out in, S at each sample, matrices of each sample.
 _NOTHING = (
@@ -92,11 +97,19 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A simulated run: `states` are "i" (A), "w" (rad/s), "theta" (K) and those of effects, each (N,), at each sample."""
+    """A simulated run.
+
+    Attributes:
+        motor: the motor.
+        inputs: what acted on it.
+        states: "i" (A), "w" (rad/s), "theta" (K) and those of effects, each (N,), at each sample.
+        steps: how many steps were tried, rejected ones included: what it cost.
+    """
 
     motor: Motor
     inputs: Inputs
     states: Mapping[str, Array]
+    steps: int = 0
 
     @property
     def current_A(self) -> Array:
@@ -131,17 +144,30 @@ def simulate(
     *,
     tolerance: float = TOLERANCE,
     smooth: bool = False,
+    most_steps: int | None = None,
 ) -> Trajectory:
     """Simulate a motor from its initial state (default: at rest, at ambient temperature) through all samples.
 
+    Args:
+        motor: the motor.
+        inputs: what acts on it.
+        initial: where its states start.
+        tolerance: of the error of a step, relative to the size of the states.
+        smooth: whether friction is smooth and nothing rests.
+        most_steps: how many steps may be tried; by default `STEPS_A_SAMPLE` times the samples and `STEPS_BESIDE`. Whoever
+            tries other parameters on one recording gives a multiple of `Trajectory.steps` of those that fit.
+
     Raises:
-        ModelError: a state or parameter that is not finite or not there, or an integration that fails.
+        ModelError: a state or parameter that is not finite or not there, or an integration that fails or takes too many
+            steps: where, and why.
     """
     system, code = structure(motor)
     states = initial_states(motor, system, initial)
     out = np.empty((inputs.time_s.size, states.size))
-    run(system, code, motor, inputs, states, out, tolerance=tolerance, smooth=smooth)
-    return Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(system.states)})
+    taken = run(
+        system, code, motor, inputs, states, out, tolerance=tolerance, smooth=smooth, most_steps=most_steps
+    )
+    return Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(system.states)}, taken)
 
 
 def simulate_batch(
@@ -186,7 +212,7 @@ class Stepper:
         self._system, self._motor_code = structure(motor)
         self._x = initial_states(motor, self._system, initial)
         self._parameters = np.array(parameter_values(motor), dtype=np.float64)
-        self._carry = np.array([np.inf, 0.0, 0.0, np.inf])
+        self._carry = np.array([np.inf, 0.0, 0.0, 0.0])
         self._time = np.zeros(2)
         self._inputs = np.zeros((2, 3))
         self._out = np.empty((2, self._x.size))
@@ -208,12 +234,15 @@ class Stepper:
         time[0], time[1] = time[1], time[1] + dt
         self._inputs[:] = voltage, load, ambient
         self._scale = np.maximum(self._scale, _scales(self._motor, self._system, self._inputs, self._x))
+        self._carry[_ALLOWED] = STEPS_BESIDE
         failed = self._motor_code(
             time, self._inputs, 0b111, False, self._parameters, self._x, self._carry, self._tolerance * self._scale,
             self._tolerance, self._out, *_NOTHING,
         )  # fmt: skip
         if failed >= 0:
-            raise ModelError(_failure(time[0], self._system, self._x))
+            inputs = Inputs(time, np.full(2, voltage), np.full(2, load), np.full(2, ambient), held=True)
+            exhausted = self._carry[_ALLOWED] < 0
+            raise ModelError(_failure(self._motor, self._system, inputs, 0, self._x, exhausted))
         return self.states
 
 
@@ -254,8 +283,12 @@ def run(
     smooth: bool,
     candidates: Sequence[Effect] = (),
     workspace: tuple[Any, ...] = _NOTHING,
-) -> None:
+    most_steps: int | None = None,
+) -> int:
     """Integrate into `out` (N, n) from the states x; `workspace` is what the sensitivities need.
+
+    Returns:
+        How many steps were tried.
 
     Raises:
         ModelError: a parameter that is not finite or not positive where it must be, or an integration that fails.
@@ -269,15 +302,16 @@ def run(
     stacked = np.column_stack([inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C])
     atol = tolerance * _scales(motor, system, stacked, x)
     out[0] = x
-    # A fit tries parameters with which the motor oscillates for ever; that is no model of a recording.
-    steps = STEPS_A_SAMPLE * len(out) + 10_000 if smooth else np.inf
+    allowed = STEPS_A_SAMPLE * len(out) + STEPS_BESIDE if most_steps is None else most_steps
+    carry = np.array([np.inf, 0.0, 0.0, allowed], dtype=np.float64)
     held = sum(1 << j for j, holds in enumerate(inputs.hold) if holds)
     failed = code(
-        inputs.time_s, stacked, held, smooth, parameters, x.copy(), np.array([np.inf, 0.0, 0.0, steps]), atol,
-        tolerance, out, *workspace,
+        inputs.time_s, stacked, held, smooth, parameters, x.copy(), carry, atol, tolerance,
+        out, *workspace,
     )  # fmt: skip
     if failed >= 0:
-        raise ModelError(_failure(inputs.time_s[failed], system, out[failed]))
+        raise ModelError(_failure(motor, system, inputs, failed, out[failed], carry[_ALLOWED] < 0))
+    return int(carry[_ACCEPTED] + carry[_REJECTED])
 
 
 def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:
@@ -293,11 +327,50 @@ def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:
     return np.array([max(sizes.get(name, 0.1), 1e-6) for name in system.states])
 
 
-def _failure(time: float, system: System, x: Array) -> str:
+def _failure(motor: Motor, system: System, inputs: Inputs, k: int, x: Array, exhausted: bool) -> str:
+    """Where a simulation ended, and why as far as the motor at sample k tells."""
+    time = inputs.time_s
     at = ", ".join(f"{name} = {value:.4g}" for name, value in zip(system.states, x, strict=True))
-    return (
-        f"the simulation cannot go on at t = {time:g} s, where {at}; a parameter or an input is out of range"
+    begin = f"the simulation cannot go on at t = {time[k]:g} s, where {at}"
+    span = float(time[min(k + 1, time.size - 1)] - time[k]) or np.inf
+    pole = _fastest(motor, inputs, k, dict(zip(system.states, x.tolist(), strict=True)))
+    if exhausted and pole is not None and abs(pole.imag) * span > 2 * np.pi:
+        return (
+            f"{begin}: it takes too many steps, since the motor oscillates there at {abs(pole.imag) / (2 * np.pi):.3g} Hz "
+            f"and samples are {span:.3g} s apart; a parameter is out of range for these inputs"
+        )
+    if exhausted:
+        return (
+            f"{begin}: it takes too many steps, since too much happens within a sample of {span:.3g} s; "
+            "a parameter is out of range for these inputs"
+        )
+    if pole is not None and pole.real > 0:
+        return (
+            f"{begin}: the motor grows without bound, by a factor e in {1 / pole.real:.3g} s; "
+            "a parameter or an input is out of range"
+        )
+    return f"{begin}; a parameter or an input is out of range"
+
+
+def _fastest(motor: Motor, inputs: Inputs, k: int, x: dict[str, float]) -> complex | None:
+    """The fastest oscillation of the motor about a state, else what grows fastest, in 1/s; None where neither is told."""
+    states = motor.states()
+    u = SimpleNamespace(
+        v=inputs.voltage_V[k], load=inputs.load_torque_Nm[k], ambient=inputs.ambient_C[k], t=inputs.time_s[k]
     )
+    jacobian = np.zeros((len(states), len(states)))
+    try:
+        with np.errstate(all="ignore"):
+            for c, name in enumerate(states):
+                step = 1e-6 * max(abs(x[name]), 1e-3)
+                above, below = (
+                    motor.rates(SimpleNamespace(**{**x, name: x[name] + sign * step}), u) for sign in (1, -1)
+                )
+                jacobian[:, c] = [(above[row] - below[row]) / (2 * step) for row in states]
+            poles = np.linalg.eigvals(jacobian)
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return None
+    return complex(max(poles, key=lambda pole: (abs(pole.imag), pole.real)))
 
 
 @cache

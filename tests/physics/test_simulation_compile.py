@@ -12,7 +12,7 @@ import sympy as sp
 from numba import float64, njit
 
 from motorlens_physics import compile as compiling
-from motorlens_physics.compile_native import native
+from motorlens_physics.compile.native import native
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.effects.inductance_saturation import InductanceSaturation

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, constant, grid, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, constant, time_constants
 
 
 @dataclass(frozen=True)
@@ -20,11 +20,11 @@ class CoastDown(Scenario):
         run_up = 8 * (pace.mechanical_s + pace.electrical_s)
         # Friction of a few per cent of rated torque stops the rotor in this time.
         coast = self.duration_s or 1.5 * motor.J * plate.speed_rad_s / (0.05 * plate.torque_Nm)
-        period = self.period_s or 0.02 * pace.mechanical_s
+        period = 0.02 * pace.mechanical_s
         ambient = plate.ambient_C
-        driven = Phase(constant(grid(run_up, period), plate.voltage_V, 0.0, ambient))
+        driven = Phase(constant(self.times(run_up, period), plate.voltage_V, 0.0, ambient))
         free = Phase(
-            constant(grid(coast, period, start_s=driven.inputs.time_s[-1]), 0.0, 0.0, ambient),
+            constant(self.times(coast, period, start_s=driven.inputs.time_s[-1]), 0.0, 0.0, ambient),
             open_circuit=True,
         )
         return Plan((driven, free))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, constant, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, constant, grid, time_constants
 
 
 @dataclass(frozen=True)
@@ -20,12 +20,10 @@ class DirectOnLine(Scenario):
         pace = time_constants(file.motor)
         duration = self.duration_s or 2.0 * pace.thermal_s
         start = min(15 * (pace.mechanical_s + pace.electrical_s), duration)
-        fine = (
-            min(0.1 * pace.electrical_s, 0.01 * pace.mechanical_s)
-            if not self.period_s
-            else self.period_s / 100
-        )
-        coarse = self.period_s or 1.0
-        time = np.concatenate([np.arange(0, start, fine), np.arange(start, duration, coarse), [duration]])
+        # Without inductance the current follows at once; what is left to see is the run-up.
+        fine = self.period_s / 100 or min(0.1 * pace.electrical_s or np.inf, 0.01 * pace.mechanical_s)
+        inrush = self.times(start, fine) if not self.period_s else grid(start, fine)
+        warming = self.times(duration - start, 1.0, start_s=start)
+        time = np.concatenate([inrush[inrush < start], warming[warming < duration], [duration]])
         plate = file.rated
         return Plan((Phase(constant(time, plate.voltage_V, plate.torque_Nm, plate.ambient_C)),))

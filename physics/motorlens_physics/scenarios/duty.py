@@ -6,7 +6,7 @@ import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Array
-from motorlens_physics.scenario import Phase, Plan, Scenario, grid, steps, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, steps, time_constants
 from motorlens_physics.simulation import Inputs
 
 
@@ -24,8 +24,10 @@ class Duty(Scenario):
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
         pace, plate = time_constants(file.motor), file.rated
         duration = self.duration_s or 600.0
-        time = grid(duration, self.period_s or 0.01)
-        at = self._instants(duration, 5 * pace.mechanical_s, rng)
+        time = self.times(duration, 0.01)
+        # No dwell is shorter than a sample.
+        shortest = max(5 * pace.mechanical_s, float(time[1] - time[0]) if len(time) > 1 else duration)
+        at = self._instants(duration, shortest, rng)
         levels = plate.voltage_V * rng.uniform(0.15, 1.05, len(at))
         if self.reversing:
             levels *= rng.choice([-1.0, 1.0], len(at))
@@ -35,7 +37,7 @@ class Duty(Scenario):
         if rng.random() < 0.5:
             # A ramp generator between the steps: at most rated voltage in five mechanical time constants.
             voltage = _slew(time, voltage, plate.voltage_V / (5 * pace.mechanical_s))
-        load_at = self._instants(duration, 5 * pace.mechanical_s, rng)
+        load_at = self._instants(duration, shortest, rng)
         load = steps(time, load_at, plate.torque_Nm * rng.uniform(0.0, 1.2, len(load_at)))
         load = load * np.sign(voltage)
         ambient = np.full_like(time, rng.uniform(0.0, 40.0))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, grid, steps, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, steps, time_constants
 from motorlens_physics.simulation import Inputs
 
 
@@ -20,7 +20,7 @@ class HeatSoak(Scenario):
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
         pace, plate = time_constants(file.motor), file.rated
         duration = self.duration_s or 4.0 * pace.thermal_s
-        time = grid(duration, self.period_s or duration / 20_000)
+        time = self.times(duration, duration / 20_000)
         at = duration * np.array([0.0, 0.4, 0.55, 0.8])
         voltage = steps(time, at, plate.voltage_V * np.array([1.0, 0.0, 0.5, 0.0]))
         load = steps(time, at, plate.torque_Nm * np.array([1.0, 0.0, 1.0, 0.0]))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, grid, steps, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, steps, time_constants
 from motorlens_physics.simulation import Inputs
 
 
@@ -19,7 +19,7 @@ class LockedRotor(Scenario):
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
         pace, plate, motor = time_constants(file.motor), file.rated, file.motor
         duration = self.duration_s or 60.0
-        time = grid(duration, self.period_s or min(0.5 * pace.electrical_s, duration / 1000))
+        time = self.times(duration, min(0.5 * pace.electrical_s, duration / 1000))
         rated_drop = motor.R_a0 * plate.current_A
         shares = np.array([0.0, 0.25, 0.5, 1.0, 0.5, -0.5, -1.0, -0.5, -0.25, 0.0])
         at = duration * np.arange(len(shares)) / len(shares)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, grid, steps, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, steps, time_constants
 from motorlens_physics.simulation import Inputs
 
 
@@ -23,7 +23,7 @@ class OverhaulingLoad(Scenario):
         dwell = 8 * (pace.mechanical_s + pace.electrical_s)
         count = len(voltages) * len(loads)
         duration = self.duration_s or count * dwell
-        time = grid(duration, self.period_s or 0.02 * pace.mechanical_s)
+        time = self.times(duration, 0.02 * pace.mechanical_s)
         slots = duration * np.arange(count) / count
         voltage = steps(time, slots, plate.voltage_V * np.repeat(voltages, len(loads)))
         load = steps(time, slots, plate.torque_Nm * np.tile(loads, len(voltages)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, grid, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, time_constants
 from motorlens_physics.simulation import Inputs
 
 
@@ -19,7 +19,7 @@ class SlowRamp(Scenario):
     def plan(self, file: MotorFile, rng: np.random.Generator) -> Plan:
         pace, plate = time_constants(file.motor), file.rated
         duration = self.duration_s or 400 * (pace.mechanical_s + pace.electrical_s)
-        time = grid(duration, self.period_s or 0.02 * pace.mechanical_s)
+        time = self.times(duration, 0.02 * pace.mechanical_s)
         corners = duration * np.array([0.0, 0.125, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0])
         # Forward and reverse at full scale, then once more within a fifth of it, where friction is found.
         shares = np.array([0.0, 1.0, -1.0, 0.0, 0.2, 0.0, -0.2, 0.0])

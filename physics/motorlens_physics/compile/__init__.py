@@ -1,7 +1,7 @@
 """From symbols to machine code: the step, the loop and the sensitivities of one motor's structure.
 
 Parameters are arguments, so one structure is compiled once. What differs between structures is straight-line code, which
-`compile_native` compiles in a tenth of a second; what they share, the loops, numba compiles once and for all. Both keep the
+`native` compiles in a tenth of a second; what they share, the loops, numba compiles once and for all. Both keep the
 machine code in a per-user cache folder, in files named after the content of the source.
 """
 
@@ -20,15 +20,15 @@ from typing import Any
 
 import sympy as sp
 
-from motorlens_physics import compile_loop, compile_types, compile_variational
-from motorlens_physics.compile_native import native
-from motorlens_physics.compile_rodas import ALPHA, GAMMA, GAMMAS, A, C, jacobian_of, step_source
+from motorlens_physics.compile import loop, types, variational
+from motorlens_physics.compile.native import native
+from motorlens_physics.compile.rodas import ALPHA, GAMMA, GAMMAS, A, C, jacobian_of, step_source
 from motorlens_physics.symbols import INPUTS, LOAD, SIDE, System, named
 
 _LINEAR = "linear(x, p, t, u, ahead, side, slots, a, g)"
-_HEAD = inspect.getsource(compile_types)
+_HEAD = inspect.getsource(types)
 _SIGNATURES = {
-    name: getattr(compile_types, f"of_{name}") for name in ("step", "rest", "torque", "linear", "propagate")
+    name: getattr(types, f"of_{name}") for name in ("step", "rest", "torque", "linear", "propagate")
 }
 _PROPAGATE = "propagate(linear, x, p, t, u, h, side, go, y, z, begin, end, S, work)"
 
@@ -41,29 +41,29 @@ class Compiled:
     functions: tuple[Any, ...]
 
     def __call__(self, *arguments: Any) -> int:
-        """Run `compile_loop.integrate` with the functions of this structure."""
+        """Run `loop.integrate` with the functions of this structure."""
         return self.integrate(*self.functions, *arguments)
 
 
 def compiled(system: System) -> Compiled:
     """The machine code of a system, from the cache if it is there."""
     own = native(source(system), _SIGNATURES, _folder())
-    loop = _load(shared_source(compile_loop, "of_integrate"))
+    shared = _load(shared_source(loop, "of_integrate"))
     functions = [own[name] for name in _SIGNATURES]
     if system.forcings:
-        functions[-1] = _load(shared_source(compile_variational, "of_propagate")).propagate
-    return Compiled(loop.integrate, tuple(functions))
+        functions[-1] = _load(shared_source(variational, "of_propagate")).propagate
+    return Compiled(shared.integrate, tuple(functions))
 
 
 def source(system: System) -> str:
-    """The generated source of a system: `step`, `rest`, `torque` and `linear`, with the arguments used in `compile_loop`.
+    """The generated source of a system: `step`, `rest`, `torque` and `linear`, with the arguments used in `loop`.
 
     step: one step of length h from x; y the new state, e the estimate of its error, z the state in the middle. u holds
     voltage, load torque and ambient at t and, behind them, their slopes.
     rest: torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead.
     torque: right-hand side of the mechanical balance.
     linear: Jacobian a (n, n) of the motor's own balances and forcings g (n, columns), the k-th going to column slots[k].
-    propagate: nothing, in the place of `compile_variational`.
+    propagate: nothing, in the place of `variational`.
     """
     functions = [
         _balances(system),
@@ -91,9 +91,9 @@ def shared_source(module: ModuleType, signature: str) -> str:
 
 def _constants() -> list[str]:
     return [
-        f"SHRINK, GROW, SAFETY = {compile_loop.SHRINK}, {compile_loop.GROW}, {compile_loop.SAFETY}",
-        f"LOCATED, INDUCTANCE = {compile_loop.LOCATED}, {compile_loop.INDUCTANCE}",
-        f"SPEED, GAMMA = {compile_loop.SPEED}, {GAMMA}",
+        f"SHRINK, GROW, SAFETY, OPENING = {loop.SHRINK}, {loop.GROW}, {loop.SAFETY}, {loop.OPENING}",
+        f"LOCATED, INDUCTANCE = {loop.LOCATED}, {loop.INDUCTANCE}",
+        f"SPEED, GAMMA = {loop.SPEED}, {GAMMA}",
         *(f"{name} = np.array({_square(rows)})" for name, rows in {"A": A, "C": C}.items()),
         *(f"{name} = np.array({row})" for name, row in {"ALPHA": ALPHA, "GAMMAS": GAMMAS}.items()),
     ]

@@ -18,6 +18,8 @@ import numpy as np
 Vector = Any
 # Length of an accepted step may shrink and grow by no more than this.
 SHRINK, GROW, SAFETY = 0.2, 6.0, 0.9
+# The first step tried in a sample may be this many times the first that was accepted in the one before.
+OPENING = 2.0
 # Instants at which the rotor stops or breaks away are located to this share of a step.
 LOCATED = 1e-9
 # Where L stands among the parameters, and w among the states.
@@ -51,7 +53,7 @@ def copy(this: Vector, there: Vector) -> None:
 
 
 def begin(total: Vector) -> None:
-    """Set the matrices of a sample (see `compile_variational`) to those of no time."""
+    """Set the matrices of a sample (see `variational`) to those of no time."""
     if total.size > 0:
         for r in range(total.shape[1]):
             for c in range(total.shape[2]):
@@ -148,14 +150,14 @@ def integrate(
 ) -> int:  # fmt: skip
     """Fill out[1:] from the state x at time[0]; return -1, or the sample where no step was small enough or none is left.
 
-    `step`, `rest`, `torque` and `linear` are functions of `compile.source`, `propagate` is that of `compile_variational`.
+    `step`, `rest`, `torque` and `linear` are functions of `compile.source`, `propagate` is that of `variational`.
     `inputs` is (N, 3); bit j of `held` says that input j holds between samples, else it runs linearly.
     Sensitivities S are carried along if there is a workspace (see `sensitivity`), and kept, with the
     matrices of each sample, where there is room. `carry` keeps the length of the next step between calls, counts accepted
     and rejected steps, and holds how many may yet be tried.
     """
     y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(6)
-    trial, sensitive = carry[0], work[7].size > 0
+    trial, opening, sensitive = carry[0], math.inf, work[7].size > 0
     for k in range(time.size - 1):
         span = time[k + 1] - time[k]
         for j in range(3):
@@ -170,6 +172,8 @@ def integrate(
         if sensitive:
             begin(work[6])
         past, released = 0.0, 0.0
+        # What the inputs do anew at each sample asks for about the same first step each time.
+        trial = min(trial, OPENING * opening)
         while past < span:
             carry[3] -= 1.0
             if carry[3] < 0.0:
@@ -232,6 +236,7 @@ def integrate(
                 x[SPEED] = 0.0
             released = 0.0
             carry[SPEED] += 1.0
+            opening = h if past == 0.0 else opening
             # The last step of a sample ends exactly there.
             past = span if h == left else past + h
             grown = h * min(GROW, SAFETY * max(error, 1e-8) ** -0.25)

@@ -4,13 +4,13 @@ Perturbations s of a motor's states obey M ds/dt = A(t) s + g(t). Over each step
 their values at its begin, middle and end, and the same Rosenbrock method as for the trajectory turns that into matrices:
 s1 = Phi s0 + Gamma_0 g(begin) + Gamma_m g(middle) + Gamma_1 g(end). They cost the same for any number of columns.
 
-Like `compile_loop` this is ordinary Python, copied below the line into generated modules.
+Like `loop` this is ordinary Python, copied below the line into generated modules.
 """
 
 from typing import Any
 
-from motorlens_physics.compile_loop import SPEED
-from motorlens_physics.compile_rodas import ALPHA, GAMMA, GAMMAS, A, C
+from motorlens_physics.compile.loop import SPEED
+from motorlens_physics.compile.rodas import ALPHA, GAMMA, GAMMAS, A, C
 
 Matrix = Any
 

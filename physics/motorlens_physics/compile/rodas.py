@@ -47,7 +47,7 @@ def jacobian_of(system: System) -> dict[tuple[int, int], Any]:
 
 
 def step_source(system: System) -> list[str]:
-    """The lines of `step(x, p, t, u, h, side, go, y, e, z)`, see `compile_loop`."""
+    """The lines of `step(x, p, t, u, h, side, go, y, e, z)`, see `loop`."""
     n = len(system.states)
     jacobian = jacobian_of(system)
     speed = system.states.index("w")

@@ -1,4 +1,4 @@
-"""Types of the compiled functions, for numba and for `compile_native`; copied to the head of generated modules."""
+"""Types of the compiled functions, for numba and for `native`; copied to the head of generated modules."""
 
 import math  # noqa: F401  (for the generated modules)
 

@@ -30,7 +30,7 @@ from numba.core import types
 from numba.core.registry import cpu_target
 from numba.core.typing import Signature
 
-from motorlens_physics.compile_types import fastmath
+from motorlens_physics.compile.types import fastmath
 from motorlens_runtime.errors import ModelError
 
 _DOUBLE, _INTEGER = ir.DoubleType(), ir.IntType(64)
