@@ -1,27 +1,39 @@
 """Recordings: measured or simulated channels over time, in SI, with what was found wrong with them in words.
 
-Columns are recognised and converted by `motorlens_runtime.files.columns`. Time and voltage are required; every other
-channel is optional, and what is absent limits what can be concluded.
+Files are read by `motorlens_physics.reading`; columns are recognised, computed and converted by
+`motorlens_runtime.files.columns`. Time and voltage are required; every other channel is optional, and what is absent limits
+what can be concluded.
 """
 
-import csv
-import gzip
-import io
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.reading import read_table
+from motorlens_physics.reading.clock import steady
+from motorlens_physics.reading.suspicion import gaps_and_channels, no_value, whole_numbers
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import Column, canonical_name, parse_mapping, require, understand
+from motorlens_runtime.files.columns import (
+    QUANTITIES,
+    Column,
+    canonical_name,
+    conversion,
+    parse_mapping,
+    require,
+    understand,
+    unit_text,
+)
 
 Array = NDArray[np.float64]
 
 # Up to this share of rows with a backward stamp or a missing input is repaired, in files long enough to spare them.
 REPAIRABLE_SHARE = 0.005
+# What drives a motor must be known at every sample.
+INPUTS = ("voltage", "load_torque", "ambient")
 
 
 @dataclass(frozen=True)
@@ -66,16 +78,21 @@ class Recording:
         )
 
 
-def read_recording(path: Path | str, mapping: Mapping[str, str] | Sequence[str] = ()) -> Recording:
-    """Read a CSV (optionally gzipped) or Parquet recording.
+def read_recording(
+    path: Path | str,
+    mapping: Mapping[str, str] | Sequence[str] = (),
+    no_values: Iterable[float] | None = None,
+) -> Recording:
+    """Read a recording: CSV and its relatives (also zipped), Parquet, MAT, MDF.
 
     Args:
         path: the file; `NAME.columns.toml` beside it may hold a `[columns]` table with the mapping.
-        mapping: quantity to heading, or the arguments of `--column`; see `motorlens_runtime.files.columns.understand`.
+        mapping: quantity to heading or formula, or the arguments of `--column`; see `files.columns.understand`.
+        no_values: numbers that stand for a missing value; None looks for them.
 
     Raises:
-        DataError: empty, a required column missing, an unknown unit, text in a number, too many missing or backward
-            rows; the message names file, row and column.
+        DataError: empty, a required column missing, an unknown or a wrong unit, text in a number, a clock that runs back;
+            the message names file, row and column, and what to do.
         OSError: the file cannot be read.
     """
     path = Path(path)
@@ -83,13 +100,18 @@ def read_recording(path: Path | str, mapping: Mapping[str, str] | Sequence[str] 
     beside = path.with_name(path.name + ".columns.toml")
     if beside.exists():
         chosen = tomllib.loads(beside.read_text(encoding="utf-8")).get("columns", {}) | chosen
-    if path.suffix == ".parquet":
-        columns, table = _read_parquet(path, chosen)
-    else:
-        columns, table = _read_csv(path, chosen)
-    if len(table["time"]) < 2:
-        raise DataError(f"{path}: {len(table['time'])} rows of data; a recording needs at least two")
-    return _checked(path.name, path, columns, table)
+    table = read_table(path)
+    where = str(path) if table.named else f"{path} (it has no heading line)"
+    columns = understand(table.headings, chosen, str(path))
+    require(columns, ("time", "voltage"), table.headings, where)
+    used = sorted({index for column in columns.values() for index in column.uses})
+    numbers = table.numbers(used)
+    channels = {quantity: column.values(numbers.__getitem__) for quantity, column in columns.items()}
+    if len(channels["time"]) < 2:
+        raise DataError(f"{path}: {len(channels['time'])} rows of data; a recording needs at least two")
+    _not_counts(path, columns, channels)
+    notes = [*table.notes, *_about_columns(table.headings, columns)]
+    return _Reader(path, columns, table.first_row, notes).recording(channels, no_values)
 
 
 def write_recording(recording: Recording, path: Path | str) -> None:
@@ -100,143 +122,182 @@ def write_recording(recording: Recording, path: Path | str) -> None:
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(headings), comments="")
 
 
-def _read_csv(path: Path, chosen: Mapping[str, str]) -> tuple[dict[str, Column], dict[str, Array]]:
-    raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise DataError(
-            f"{path}: not a text file; a recording is CSV with a heading line, or Parquet"
-        ) from None
-    first, _, body = text.lstrip("\r\n").partition("\n")
-    if not first.strip():
-        raise DataError(f"{path}: empty; a recording needs a heading line and rows of numbers")
-    delimiter = next((mark for mark in (",", ";", "\t") if mark in first), ",")
-    headings = next(csv.reader([first.rstrip("\r")], delimiter=delimiter))
-    columns = understand(headings, chosen, str(path))
-    require(columns, ("time", "voltage"), headings, str(path))
-    if not body.strip():
-        raise DataError(f"{path}: 0 rows of data; a recording needs at least two")
-    used = [column.index for column in columns.values()]
-    try:
-        numbers = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=used, ndmin=2)
-    except ValueError:
-        # An empty cell, text, or a short row: find out which, at leisure.
-        numbers = _parse_slowly(body, delimiter, columns, path)
-    table = {q: numbers[:, k] * c.factor + c.offset for k, (q, c) in enumerate(columns.items())}
-    return columns, table
-
-
-def _parse_slowly(body: str, delimiter: str, columns: Mapping[str, Column], path: Path) -> Array:
-    rows = []
-    for line, cells in enumerate(csv.reader(io.StringIO(body), delimiter=delimiter), start=2):
-        if not cells:
-            continue
-        row = []
-        for column in columns.values():
-            cell = cells[column.index].strip() if column.index < len(cells) else ""
-            try:
-                row.append(float(cell) if cell else float("nan"))
-            except ValueError:
-                raise DataError(
-                    f"{path}: row {line}, column {column.heading!r}: {cell!r} is not a number"
-                ) from None
-        rows.append(row)
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(columns))
-
-
-def _read_parquet(path: Path, chosen: Mapping[str, str]) -> tuple[dict[str, Column], dict[str, Array]]:
-    import pyarrow.parquet
-
-    content = pyarrow.parquet.read_table(path)
-    columns = understand(content.column_names, chosen, str(path))
-    require(columns, ("time", "voltage"), content.column_names, str(path))
-    table = {}
+def _about_columns(headings: Sequence[str], columns: Mapping[str, Column]) -> list[str]:
+    """Which columns were not used, what they may be, and what was taken for granted of those that were."""
+    notes = [
+        f"{quantity}: no unit is given in {column.heading!r}; taken as {QUANTITIES[quantity][0]}"
+        for quantity, column in columns.items()
+        if column.assumed
+    ]
     for quantity, column in columns.items():
-        try:
-            numbers = content.column(column.index).to_numpy().astype(np.float64)
-        except (TypeError, ValueError):
-            raise DataError(f"{path}: column {column.heading!r} does not hold numbers") from None
-        table[quantity] = numbers * column.factor + column.offset
-    return columns, table
+        if column.formula:
+            notes += [f"{quantity} = {column.formula.text}"] + [
+                f"{quantity}: {note}" for note in column.formula.notes
+            ]
+    used = {index for column in columns.values() for index in column.uses}
+    spare = [heading for index, heading in enumerate(headings) if index not in used and heading.strip()]
+    if spare:
+        notes.append(f"not used: {', '.join(spare)}")
+    for quantity in ("current", "speed", "temperature", "angle"):
+        unit = QUANTITIES[quantity][0]
+        like = [h for h in spare if (text := unit_text(h)) and conversion(unit, text) is not None]
+        if like and quantity not in columns:
+            notes.append(f"no {quantity}; it may be {' or '.join(like)}: --column {quantity}={like[0]}")
+    return notes
 
 
-def _checked(name: str, path: Path, columns: Mapping[str, Column], table: dict[str, Array]) -> Recording:
-    notes: list[str] = []
-    time = table["time"]
-    if not np.isfinite(time).all():
-        row = int(np.argmin(np.isfinite(time)))
-        raise DataError(f"{path}: row {row + 2}, column {columns['time'].heading!r}: time is missing")
-    # A stamp not above all before it (a test stand's first row, a repeated frame) is dropped; many are a broken clock.
-    forward = np.r_[True, time[1:] > np.maximum.accumulate(time)[:-1]]
-    if time[0] > time[1]:
-        forward = np.r_[False, True, time[2:] > np.maximum.accumulate(time[1:])[:-1]]
-    dropped = int(np.sum(~forward))
-    if dropped:
-        row = int(np.argmin(forward))
+def _not_counts(path: Path, columns: Mapping[str, Column], channels: Mapping[str, Array]) -> None:
+    """Refuse whole numbers without a unit where reading them as SI would be a guess."""
+    time = columns["time"]
+    if time.assumed and np.all(channels["time"] == np.round(channels["time"])):
+        raise DataError(
+            f"{path}: column {time.heading!r} holds whole numbers without a unit: seconds, milliseconds or a count of rows? "
+            f"Say which: --column time_s={time.heading}, --column time_ms={time.heading}, or "
+            f"--column 'time={time.heading}*0.001[s]' for rows at 1 kHz"
+        )
+    for quantity in ("voltage", "current"):
+        column = columns.get(quantity)
+        if column is not None and column.assumed and not column.formula and whole_numbers(channels[quantity]):
+            unit = QUANTITIES[quantity][0]
+            raise DataError(
+                f"{path}: column {column.heading!r} holds whole numbers without a unit: counts of a converter? Scale them, "
+                f"--column '{quantity}={column.heading}*0.01[{unit}]', or say the unit: "
+                f"--column {quantity}_{unit}={column.heading}"
+            )
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """One file on its way to a recording; `notes` grows as things are found."""
+
+    path: Path
+    columns: Mapping[str, Column]
+    first_row: int
+    notes: list[str]
+
+    def recording(self, table: dict[str, Array], no_values: Iterable[float] | None) -> Recording:
+        """The checked recording."""
+        table = self._without_words(table, no_values)
+        table = self._in_time(table)
+        table = self._complete(table)
+        if "speed" not in table and "angle" in table:
+            table |= self._speed_of_angle(table["time"], table["angle"])
+        time = table.pop("time")
+        return Recording(self.path.name, time, table, (*self.notes, *gaps_and_channels(time, table)))
+
+    def _row(self, index: int) -> int:
+        return index + self.first_row
+
+    def _without_words(self, table: dict[str, Array], no_values: Iterable[float] | None) -> dict[str, Array]:
+        """Numbers that mean "no value" become NaN."""
+        if no_values is not None:
+            words = list(no_values)
+            raw = {
+                q: (y - self.columns[q].offset) / self.columns[q].factor
+                for q, y in table.items()
+                if q != "time"
+            }
+            hidden = {q: np.isclose(y[:, None], words, rtol=1e-9).any(axis=1) for q, y in raw.items()}
+            return table | {q: np.where(hidden[q], np.nan, table[q]) for q in hidden}
+        cleaned = dict(table)
+        for quantity in sorted(table, key=lambda q: q not in INPUTS):
+            if quantity == "time":
+                continue
+            column, y = self.columns[quantity], table[quantity]
+            voltage = None if quantity in INPUTS else cleaned["voltage"]
+            if voltage is not None:
+                finite = np.isfinite(voltage)
+                voltage = (
+                    np.where(finite, voltage, np.mean(voltage[finite])) if finite.any() else np.zeros(len(y))
+                )
+            word = no_value((y - column.offset) / column.factor, voltage)
+            if word is not None:
+                cleaned[quantity] = np.where(np.isclose(y, word * column.factor + column.offset), np.nan, y)
+                self.notes.append(
+                    f"{quantity} is exactly {word:g} in {int(np.isnan(cleaned[quantity]).sum() - np.isnan(y).sum())} "
+                    'samples that stand out: taken for "no value" (if it was measured: --no-value none)'
+                )
+        return cleaned
+
+    def _in_time(self, table: dict[str, Array]) -> dict[str, Array]:
+        """Rows in the order of time: by the steady clock behind poor stamps, or without the few that run back."""
+        time, heading = table["time"], self.columns["time"].heading
+        missing = ~np.isfinite(time)
+        if missing.any():
+            row = self._row(int(np.argmax(missing)))
+            _repairable(int(missing.sum()), len(time),
+                        f"{self.path}: row {row}, column {heading!r}: time is missing; remove the row")  # fmt: skip
+            self.notes.append(f"{int(missing.sum())} rows without a time dropped (first: row {row})")
+            table = {q: y[~missing] for q, y in table.items()}
+            time = table["time"]
+        # A stamp not above all before it (a test stand's first row, a repeated frame) is dropped; many are a broken clock.
+        forward = np.r_[True, time[1:] > np.maximum.accumulate(time)[:-1]]
+        if time[0] > time[1]:
+            forward = np.r_[False, True, time[2:] > np.maximum.accumulate(time[1:])[:-1]]
+        dropped = int(np.sum(~forward))
+        if not dropped:
+            return table
+        row = self._row(int(np.argmin(forward)))
+        clock = steady(time) if dropped > REPAIRABLE_SHARE * len(time) else None
+        if clock is not None:
+            self.notes.append(
+                f"time stamps repeat or run back, but follow a steady clock of {clock[0][1] - clock[0][0]:.6g} s within "
+                f"{clock[1]:.2g} s, which was taken instead"
+            )
+            return table | {"time": clock[0]}
         _repairable(
             dropped,
             len(time),
-            f"{path}: row {row + 2}: time does not increase ({time[row]:g} s); sort or split the file",
+            f"{self.path}: row {row}: time does not increase ({time[~forward][0]:g} s), nor do the stamps follow a steady "
+            "clock; sort the rows, or split the file where the recorder was started anew",
         )
-        notes.append(
-            f"{dropped} of {len(time)} rows dropped because their time does not increase (first: row {row + 2})"
+        self.notes.append(
+            f"{dropped} of {len(time)} rows dropped because their time does not increase (first: row {row})"
         )
-        table = {q: y[forward] for q, y in table.items()}
+        return {q: y[forward] for q, y in table.items()}
+
+    def _complete(self, table: dict[str, Array]) -> dict[str, Array]:
+        """Inputs without missing values: a few are interpolated, the rows of more are left out; outputs keep NaN."""
         time = table["time"]
-    channels = {q: y for q, y in table.items() if q != "time"}
-    for quantity, y in channels.items():
-        column, missing = columns[quantity], ~np.isfinite(y)
-        if not missing.any():
-            continue
-        row = int(np.argmax(missing))
-        where = f"{path}: row {row + 2}, column {column.heading!r}"
-        if missing.all():
-            raise DataError(f"{path}: column {column.heading!r} holds no numbers")
-        if quantity in ("voltage", "load_torque", "ambient"):
-            _repairable(
-                int(missing.sum()),
-                len(y),
-                f"{where}: a missing value in an input; fill it or cut the recording",
-            )
-            channels[quantity] = np.interp(time, time[~missing], y[~missing])
-            notes.append(
-                f"{int(missing.sum())} missing values of {quantity} interpolated (first: row {row + 2})"
-            )
-        else:
-            channels[quantity] = np.where(missing, np.nan, y)
-            notes.append(f"{int(missing.sum())} missing values of {quantity} left out (first: row {row + 2})")
-    notes += _suspicions(time, channels)
-    return Recording(name, time, channels, tuple(notes))
+        lacking = np.zeros(len(time), dtype=bool)
+        for quantity, y in table.items():
+            missing = ~np.isfinite(y)
+            if not missing.any():
+                continue
+            heading, count = self.columns[quantity].heading, int(missing.sum())
+            row = self._row(int(np.argmax(missing)))
+            if missing.all():
+                raise DataError(f"{self.path}: column {heading!r} holds no numbers")
+            if quantity not in INPUTS:
+                table[quantity] = np.where(missing, np.nan, y)
+                self.notes.append(f"{count} missing values of {quantity} left out (first: row {row})")
+            elif count <= REPAIRABLE_SHARE * len(y):
+                table[quantity] = np.interp(time, time[~missing], y[~missing])
+                self.notes.append(f"{count} missing values of {quantity} interpolated (first: row {row})")
+            else:
+                lacking |= missing
+                if count > len(y) / 2:
+                    raise DataError(
+                        f"{self.path}: row {row}, column {heading!r}: a missing value in an input, and {count} of "
+                        f"{len(y)} are; fill the column, or leave it out"
+                    )
+                self.notes.append(f"{count} rows without a value of {quantity} left out (first: row {row})")
+        return {q: y[~lacking] for q, y in table.items()} if lacking.any() else table
+
+    def _speed_of_angle(self, time: Array, angle: Array) -> dict[str, Array]:
+        """The speed from a measured angle, without delay: central differences; the angle is continued over its wraps."""
+        turn = 2 * np.pi
+        finite = np.isfinite(angle)
+        whole = angle[finite]
+        if len(whole) < 3:
+            return {}
+        if np.ptp(whole) <= turn * 1.001 and np.abs(np.diff(whole)).max() > np.pi:
+            angle = angle.copy()
+            angle[finite] = np.unwrap(whole)
+        self.notes.append("no speed was measured; it is taken from the angle by central differences")
+        return {"angle": angle, "speed": np.gradient(angle, time)}
 
 
 def _repairable(count: int, rows: int, complaint: str) -> None:
     if count > REPAIRABLE_SHARE * rows:
         raise DataError(complaint)
-
-
-def _suspicions(time: Array, channels: Mapping[str, Array]) -> list[str]:
-    """What looks wrong but may be meant: gaps, dead and clipped channels."""
-    notes = []
-    steps = np.diff(time)
-    gaps = np.flatnonzero(steps > 10 * np.median(steps))
-    if len(gaps):
-        notes.append(
-            f"{len(gaps)} gaps in time, the longest {steps.max():.3g} s after {time[np.argmax(steps)]:.6g} s"
-        )
-    for quantity in ("voltage", "current", "speed", "temperature"):
-        y = channels.get(quantity)
-        if y is None:
-            continue
-        if np.nanmin(y) == np.nanmax(y):
-            notes.append(f"{quantity} never changes ({y[0]:g}): a dead channel?")
-            continue
-        for limit in (np.nanmin(y), np.nanmax(y)):
-            at_limit = y == limit
-            runs = np.sum(at_limit[1:] & at_limit[:-1])
-            # A commanded voltage rests at its levels, and a motor rests at zero; a measured signal does not rest at a peak.
-            if quantity in ("current", "speed") and limit != 0 and runs > 0.02 * len(y):
-                notes.append(
-                    f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
-                )
-    return notes

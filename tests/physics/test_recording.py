@@ -55,7 +55,7 @@ def test_units_are_converted(
 
 
 def test_columns_are_mapped_by_name_and_unit(tmp_path: Path) -> None:
-    path = written(tmp_path, "t,u,y\n0,1,180\n1,2,360\n")
+    path = written(tmp_path, "t,u,y\n0,1,180\n0.1,2,360\n")
     recording = read_recording(path, ["voltage=u", "speed_deg_s=y"])
     np.testing.assert_allclose(recording.channels["speed"], [np.pi, 2 * np.pi])
     path.with_name("rec.csv.columns.toml").write_text('[columns]\nvoltage = "u"\nspeed = "y"\n')
@@ -72,7 +72,7 @@ def test_columns_are_mapped_by_name_and_unit(tmp_path: Path) -> None:
         ("time_s,voltage_V\n0,1\n1,oops\n", (), "row 3, column 'voltage_V': 'oops' is not a number"),
         ("time_s,voltage_furlong\n0,1\n1,2\n", ("voltage=voltage_furlong",), ""),
         ("time_s,voltage_V,speed_kn\n0,1,1\n1,2,1\n", (), "column 'speed_kn': unknown unit 'kn' for speed"),
-        ("time_s,voltage_V\n0,1\n1,nan\n2,3\n", (), "row 3, column 'voltage_V'"),
+        ("time_s,voltage_V\n0,1\n1,nan\n2,nan\n", (), "row 3, column 'voltage_V'"),
         ("time_s,voltage_V\n0,1\nnan,2\n2,3\n", (), "row 3, column 'time_s': time is missing"),
         ("time_s,voltage_V\n0,1\n2,1\n1,1\n", (), "row 4: time does not increase (1 s)"),
         ("time_s,voltage_V\n0,1\n1,1\n1,1\n", (), "row 4: time does not increase"),

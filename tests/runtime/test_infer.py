@@ -129,7 +129,7 @@ def test_repeated_time_and_a_cut_last_line_are_said(here, capsys):
             lambda text: text.replace("voltage_V", "voltage_furlong"),
             "unknown unit 'furlong'|no voltage column",
         ),
-        (lambda text: text.replace("voltage_V", "voltage_lbf"), "column 'voltage_lbf': unknown unit 'lbf'"),
+        (lambda text: text.replace("voltage_V", "voltage_kn"), "column 'voltage_kn': unknown unit 'kn'"),
         (lambda text: text.replace("\n0.1,", "\n0.1,abc"), "row 102, column 'voltage_V': 'abc"),
         (
             lambda text: text.replace("\n0.1,", "\n0.05,"),

@@ -1,70 +1,99 @@
 """Headings and units: which physical quantity a column holds, and how it becomes SI.
 
 The canonical heading is `quantity_unit` (`speed_rad_s`). Any other unit of the same dimension is converted
-(`speed_rpm`), and the headings that test stands write are understood (`Motor Optical Speed (RPM)`, `v[V]`).
+(`speed_rpm`), and the headings that test stands write are understood (`Motor Optical Speed (RPM)`, `Drehzahl [1/min]`).
 Temperatures stay in degrees Celsius, as every test bench writes them; everything else is SI.
 """
 
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.formula import Cells, Formula, is_formula, parse_formula
+from motorlens_runtime.files.units import BASES, Unit, in_heading, name_of
 
 # quantity -> (canonical unit, the words a heading may use for it, in lower case without blanks)
 QUANTITIES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "time": ("s", ("time", "t", "timestamp")),
-    "voltage": ("V", ("voltage", "v", "armaturevoltage", "terminalvoltage")),
-    "current": ("A", ("current", "i", "armaturecurrent", "motorcurrent")),
-    "speed": ("rad_s", ("speed", "w", "omega", "motorspeed", "motoropticalspeed", "rotorspeed")),
-    "temperature": ("C", ("temperature", "windingtemperature", "motortemp", "coiltemperature")),
-    "load_torque": ("Nm", ("loadtorque", "torque", "shafttorque")),
-    "ambient": ("C", ("ambient", "ambienttemperature")),
-    "angle": ("rad", ("angle", "shaftangle", "position")),
-    "resistance": ("ohm", ("resistance", "armatureresistance")),
-}
-
-_PI = 3.141592653589793
-# canonical unit -> {spelling: (factor, offset)}, canonical = factor * value + offset
-_UNITS: dict[str, dict[str, tuple[float, float]]] = {
-    "s": {"s": (1, 0), "ms": (1e-3, 0), "us": (1e-6, 0), "µs": (1e-6, 0), "μs": (1e-6, 0), "min": (60, 0), "h": (3600, 0)},
-    "V": {"V": (1, 0), "mV": (1e-3, 0), "kV": (1e3, 0)},
-    "A": {"A": (1, 0), "mA": (1e-3, 0)},
-    "rad_s": {
-        "rad/s": (1, 0), "krpm": (1000 * _PI / 30, 0), "rpm": (_PI / 30, 0), "RPM": (_PI / 30, 0),
-        "deg/s": (_PI / 180, 0), "°/s": (_PI / 180, 0), "rev/s": (2 * _PI, 0), "Hz": (2 * _PI, 0),
-    },
-    "C": {
-        "C": (1, 0), "degC": (1, 0), "°C": (1, 0), "ºC": (1, 0), "K": (1, -273.15),
-        "F": (5 / 9, -160 / 9), "degF": (5 / 9, -160 / 9), "°F": (5 / 9, -160 / 9), "ºF": (5 / 9, -160 / 9),
-    },
-    "Nm": {
-        "Nm": (1, 0), "N*m": (1, 0), "mNm": (1e-3, 0), "lbf*ft": (1.3558179483314004, 0),
-        "lbf*in": (0.1129848290276167, 0), "ozf*in": (0.007061551814226043, 0), "kgf*cm": (0.0980665, 0),
-    },
-    "rad": {"rad": (1, 0), "deg": (_PI / 180, 0), "°": (_PI / 180, 0), "rev": (2 * _PI, 0)},
-    "ohm": {"ohm": (1, 0), "Ω": (1, 0), "mohm": (1e-3, 0), "mΩ": (1e-3, 0)},
+    "time": ("s", ("time", "t", "timestamp", "zeit", "zeitstempel")),
+    "voltage": ("V", ("voltage", "v", "u", "armaturevoltage", "terminalvoltage", "motorvoltage", "spannung",
+                      "ankerspannung", "motorspannung", "tension")),
+    "current": ("A", ("current", "i", "armaturecurrent", "motorcurrent", "strom", "ankerstrom", "motorstrom", "courant")),
+    "speed": ("rad_s", ("speed", "w", "omega", "n", "motorspeed", "motoropticalspeed", "rotorspeed", "velocity",
+                        "angularvelocity", "drehzahl", "motordrehzahl", "winkelgeschwindigkeit", "vitesse")),
+    "temperature": ("C", ("temperature", "windingtemperature", "motortemp", "coiltemperature", "temperatur",
+                          "wicklungstemperatur")),
+    "load_torque": ("Nm", ("loadtorque", "torque", "shafttorque", "drehmoment", "lastmoment", "couple")),
+    "ambient": ("C", ("ambient", "ambienttemperature", "umgebungstemperatur")),
+    "angle": ("rad", ("angle", "shaftangle", "position", "winkel", "drehwinkel")),
+    "resistance": ("ohm", ("resistance", "armatureresistance", "widerstand")),
 }  # fmt: skip
+# Words that are a quantity only with its unit beside them: alone they are as often something else.
+_NEED_A_UNIT = frozenset(("u", "n", "velocity", "tension", "couple"))
+# The first spellings to offer for a canonical unit.
+_OFFERED = {
+    "s": "s, ms, us, min, h", "V": "V, mV, kV", "A": "A, mA", "rad_s": "rad/s, rpm, deg/s, rev/s, Hz",
+    "C": "degC, K, degF", "Nm": "Nm, mNm, lbf*ft, lbf*in, ozf*in, kgf*cm", "rad": "rad, deg, rev", "ohm": "ohm, mohm",
+}  # fmt: skip
+# What ties a column of another dimension to a quantity: (quantity, the column's unit) -> a formula and its meaning.
+_TIES = {
+    ("speed", "m/s"): ("{}/0.03[m]", "divide it by the radius"),
+    ("speed", "V"): ("{}/0.01[V*s/rad]", "divide it by the tachometer's constant"),
+    ("speed", "counts"): (
+        "angle={}/1024[counts/rev]",
+        "counts are an angle, and the speed follows from that",
+    ),
+    ("angle", "counts"): ("{}/1024[counts/rev]", "divide it by the counts of a revolution"),
+    ("voltage", "1"): ("{}*SUPPLY_V/100", "multiply it by the supply"),
+    ("load_torque", "N"): ("{}*0.1[m]", "multiply it by the lever"),
+}
+_DUTY = re.compile(r"duty|pwm|tastgrad", re.IGNORECASE)
+_SUPPLY = re.compile(r"bat|supply|bus|vdc|dc.?link|versorgung", re.IGNORECASE)
 
 # Words that make another quantity of a name, as `sd` and `rise` do in what `infer` writes.
+_BRACKETED = re.compile(r"(.+?)\s*[(\[]\s*([^)\]]+?)\s*[)\]]")
+_REVOLUTION = tuple({"rad": 1, "cycle": -1}.get(base, 0) for base in BASES)
 _OTHER_WORDS = frozenset(("ref", "raw", "cmd", "set", "max", "min", "sd", "rise"))
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a recording: `canonical = factor * value + offset`, in `unit` of `quantity`."""
+    """What holds a quantity: one column, `canonical = factor * value + offset`, or a formula over several.
+
+    `heading` is the column's, or the formula's text; `index` is the (first) column's. `assumed` says that no unit was given.
+    """
 
     index: int
     heading: str
     quantity: str
     factor: float
     offset: float
+    formula: Formula | None = None
+    assumed: bool = False
 
     @property
     def name(self) -> str:
         """The canonical heading, such as `speed_rad_s`."""
         return canonical_name(self.quantity)
+
+    @property
+    def uses(self) -> tuple[int, ...]:
+        """The columns it needs."""
+        return self.formula.uses if self.formula else (self.index,)
+
+    def values(self, cells: Cells) -> Array:
+        """(N,) in the canonical unit, from the numbers of each column as they stand in the file."""
+        numbers = self.formula.value(cells) if self.formula else cells(self.index)
+        if (self.factor, self.offset) == (1, 0):
+            return numbers
+        return numbers * self.factor + self.offset
 
 
 def canonical_name(quantity: str) -> str:
@@ -78,29 +107,32 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
     Args:
         headings: the first line of the file, one string a column.
         mapping: the user's own choices, `{"speed": "wL_rad_s"}`; a unit may be given on either side
-            (`{"speed_deg_s": "y"}`), and without one the canonical unit is assumed.
+            (`{"speed_deg_s": "y"}`), and without one the canonical unit is assumed. A formula over columns will do
+            (`{"voltage": "duty_pct*vbat_V/100"}`), see `formula`.
         where: the file's name, for messages.
 
     Returns:
         quantity -> column; columns that hold no known quantity are left out.
 
     Raises:
-        DataError: a mapped column is absent, a unit is unknown, or two columns claim one quantity.
+        DataError: a mapped column is absent, a unit is unknown or not the quantity's, or two columns claim one quantity.
     """
-    cleaned = [heading.strip().lstrip("﻿").strip('"') for heading in headings]
+    cleaned = [heading.strip().lstrip("\ufeff").strip('"') for heading in headings]
     found: dict[str, Column] = {}
-    for key, heading in mapping.items():
-        quantity, unit_left = _mapped_quantity(key)
-        if heading not in cleaned:
-            near = difflib.get_close_matches(heading, cleaned, n=1)
+    for key, choice in mapping.items():
+        quantity, unit = _mapped_quantity(key)
+        if choice not in cleaned and is_formula(choice, cleaned):
+            found[quantity] = _computed(choice, cleaned, quantity, unit, where)
+            continue
+        if choice not in cleaned:
+            near = difflib.get_close_matches(choice, cleaned, n=1)
             hint = (
                 f"; did you mean {near[0]!r}?"
                 if near
                 else f"; it has {', '.join(repr(c) for c in cleaned if c)}"
             )
-            raise DataError(f"{where}: no column {heading!r} for {quantity}{hint}")
-        unit = unit_left or _unit_in(heading, QUANTITIES[quantity][0]) or QUANTITIES[quantity][0]
-        found[quantity] = _column(cleaned.index(heading), heading, quantity, unit, where)
+            raise DataError(f"{where}: no column {choice!r} for {quantity}{hint}")
+        found[quantity] = _chosen(cleaned.index(choice), choice, quantity, unit, where)
     for index, heading in enumerate(cleaned):
         recognised = _recognise(heading)
         if recognised is None or recognised[0] in {_mapped_quantity(key)[0] for key in mapping}:
@@ -121,9 +153,15 @@ def require(
     """Refuse a recording that lacks one of `quantities`, saying which columns it has and how to map one."""
     for quantity in quantities:
         if quantity not in found:
+            cure = f"map one with --column {quantity}=NAME"
+            duty = next((h for h in headings if _DUTY.search(h)), None)
+            supply = next((h for h in headings if _SUPPLY.search(h)), None)
+            if quantity == "voltage" and duty and supply:
+                share = f"{duty}*{supply}/100" if unit_in(duty) else f"{duty}/255*{supply}"
+                full = "" if unit_in(duty) else ", if 255 is full duty"
+                cure = f"duty times supply is --column 'voltage={share}'{full}; add --voltage-commanded, it was not measured"
             raise DataError(
-                f"{where}: no {quantity} column ({canonical_name(quantity)}); it has {', '.join(headings)}; "
-                f"map one with --column {quantity}=NAME"
+                f"{where}: no {quantity} column ({canonical_name(quantity)}); it has {', '.join(headings)}; {cure}"
             )
 
 
@@ -156,23 +194,29 @@ def _mapped_quantity(key: str) -> tuple[str, str | None]:
 
 
 def _recognise(heading: str) -> tuple[str, str] | None:
-    """Quantity and unit of a heading such as `speed_rpm`, `Voltage (V)` or `v[V]`; None if it is neither."""
-    bracketed = re.fullmatch(r"(.+?)\s*[(\[]\s*([^)\]]+?)\s*[)\]]", heading)
+    """Quantity and unit of a heading such as `speed_rpm`, `Voltage (V)` or `v[V]`; None if it is neither.
+
+    The unit is empty where the heading is the bare word.
+    """
+    bracketed = _BRACKETED.fullmatch(heading)
     if bracketed:
         words = re.sub(r"[\s_]", "", bracketed[1]).lower()
-        for quantity, (_, names) in QUANTITIES.items():
+        for quantity, (unit, names) in QUANTITIES.items():
             if words in names:
-                return quantity, bracketed[2]
+                other = in_heading(bracketed[2])
+                return None if other and conversion(unit, bracketed[2]) is None else (quantity, bracketed[2])
         return None
     for quantity, (unit, names) in QUANTITIES.items():
-        if re.sub(r"[\s_]", "", heading).lower() in (quantity.replace("_", ""), *names):
-            return quantity, unit
+        words = re.sub(r"[\s_]", "", heading).lower()
+        if words in (quantity.replace("_", ""), *names) and words not in _NEED_A_UNIT:
+            return quantity, ""
         for name in (quantity, *names):
             if heading.lower().startswith(name + "_"):
                 suffix = heading[len(name) + 1 :]
-                # A longer word (`current_limit_A`) is another quantity, and `speed_reference` no unit.
-                if _lookup(unit, suffix) is not None or (
-                    heading.lower().startswith(quantity + "_") and _unitlike(suffix)
+                # A longer word (`current_limit_A`) is another quantity, and `speed_reference` no unit; `speed_m_s` is a
+                # speed, but none of a shaft.
+                if conversion(unit, suffix) is not None or (
+                    name == quantity and _unitlike(suffix) and in_heading(suffix) is None
                 ):
                     return quantity, suffix
     return None
@@ -184,33 +228,97 @@ def _unitlike(suffix: str) -> bool:
     return all(len(piece) <= 4 for piece in pieces) and pieces[0] not in _OTHER_WORDS
 
 
-def _unit_in(heading: str, canonical: str) -> str | None:
-    """The unit written in a heading that the user mapped by name, if one is there."""
-    bracketed = re.fullmatch(r".+?\s*[(\[]\s*([^)\]]+?)\s*[)\]]", heading)
+def unit_text(heading: str) -> str | None:
+    """The unit written in a heading, in brackets or after `_`, if one is there.
+
+    A single small letter is none: `i_m` is the motor's current and `u_s` a supply, not metres and seconds.
+    """
+    bracketed = _BRACKETED.fullmatch(heading)
     if bracketed:
-        return bracketed[1]
+        return bracketed[2]
     pieces = heading.split("_")
     for start in range(1, len(pieces)):
-        if _lookup(canonical, "_".join(pieces[start:])) is not None:
-            return "_".join(pieces[start:])
+        suffix = "_".join(pieces[start:])
+        if in_heading(suffix) is not None and not re.fullmatch("[a-z1]", suffix):
+            return suffix
     return None
 
 
-def _lookup(canonical: str, unit: str) -> tuple[float, float] | None:
-    """Factor and offset of a spelling, with `_`, `·`, `.` and `-` accepted between the parts of a unit."""
-    for spelling, conversion in _UNITS[canonical].items():
-        pieces = re.split(r"[/*]", spelling)
-        if unit == spelling or (
-            len(pieces) == 2 and re.fullmatch(rf"{pieces[0]}[/_·*.\- ]?{pieces[1]}", unit)
-        ):
-            return conversion
-    return None
+def unit_in(heading: str) -> Unit | None:
+    """The unit written in a heading; None if there is none, or none that is known."""
+    text = unit_text(heading)
+    return None if text is None else in_heading(text)
+
+
+def conversion(canonical: str, text: str) -> tuple[float, float] | None:
+    """Factor and offset from a spelling to a canonical unit; None if it is of another dimension. A cycle is a turn."""
+    unit, target = in_heading(text), in_heading(canonical)
+    if unit is None or target is None:
+        return None
+    if unit.dimension != target.dimension:
+        cycles = unit.dimension[BASES.index("cycle")]
+        unit = unit * Unit(2 * np.pi, _REVOLUTION) ** cycles
+        if not cycles or unit.dimension != target.dimension:
+            return None
+    return unit.factor, unit.offset
+
+
+def _chosen(index: int, heading: str, quantity: str, unit: str | None, where: str) -> Column:
+    """The column that the user chose for a quantity; a unit of another dimension in its heading is refused."""
+    canonical = QUANTITIES[quantity][0]
+    if unit is None:
+        pieces = heading.split("_")
+        suffixes = ["_".join(pieces[start:]) for start in range(1, len(pieces))]
+        unit = (
+            next((text for text in suffixes if conversion(canonical, text)), None) or unit_text(heading) or ""
+        )
+        other = in_heading(unit) if unit else None
+        if other is not None and conversion(canonical, unit) is None:
+            raise DataError(f"{where}: column {heading!r} is in {unit}, {quantity} is in {_written(canonical)}; "
+                            + _tie(quantity, heading, other))  # fmt: skip
+    return _column(index, heading, quantity, unit, where)
+
+
+def _tie(quantity: str, heading: str, unit: Unit) -> str:
+    formula, meaning = _TIES.get(
+        (quantity, name_of(unit.dimension)), ("{}*NUMBER[UNIT]", "tie them by a constant with its unit")
+    )
+    formula = formula if "=" in formula else f"{quantity}={formula}"
+    stated = f"{quantity}_{QUANTITIES[quantity][0]}={heading}"
+    return f"{meaning}, as in --column '{formula.format(heading)}', or, if the heading misleads, say so: --column '{stated}'"
+
+
+def _computed(text: str, headings: Sequence[str], quantity: str, unit: str | None, where: str) -> Column:
+    """A formula over columns, whose result has the quantity's dimension; a radian is a number, as in SI."""
+    canonical = QUANTITIES[quantity][0]
+    formula = parse_formula(text, headings, unit_in, where)
+    target = in_heading(canonical)
+    assert target is not None
+    radian = BASES.index("rad")
+    without = [d[:radian] + d[radian + 1 :] for d in (formula.dimension, target.dimension)]
+    if formula.plain:
+        column = _column(formula.uses[0], text, quantity, unit or "", where)
+    elif without[0] == without[1]:
+        column = Column(formula.uses[0], text, quantity, 1.0, 0.0)
+    else:
+        raise DataError(
+            f"{where}: --column {quantity}={text}: comes out in {name_of(formula.dimension)}, {quantity} is in "
+            f"{_written(canonical)}; give a constant its unit, as in 12[V] or 0.033[m]"
+        )
+    return replace(column, formula=formula)
+
+
+def _written(canonical: str) -> str:
+    return {"rad_s": "rad/s", "C": "degC", "Nm": "N m"}.get(canonical, canonical)
 
 
 def _column(index: int, heading: str, quantity: str, unit: str, where: str) -> Column:
     canonical = QUANTITIES[quantity][0]
-    conversion = _lookup(canonical, unit)
-    if conversion is None:
-        known = ", ".join(_UNITS[canonical])
-        raise DataError(f"{where}: column {heading!r}: unknown unit {unit!r} for {quantity}; known: {known}")
-    return Column(index, heading, quantity, *conversion)
+    if not unit:
+        return Column(index, heading, quantity, 1.0, 0.0, assumed=True)
+    found = conversion(canonical, unit)
+    if found is None:
+        raise DataError(
+            f"{where}: column {heading!r}: unknown unit {unit!r} for {quantity}; known: {_OFFERED[canonical]}"
+        )
+    return Column(index, heading, quantity, *found)

@@ -5,7 +5,7 @@ is parsed cell by cell, which is slower and says exactly which cell is at fault.
 leaves them out and flags them.
 """
 
-import csv
+import codecs
 import gzip
 import io
 import warnings
@@ -21,6 +21,7 @@ from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.files.columns import require, understand
 from motorlens_runtime.files.decimal_text import read
+from motorlens_runtime.files.layout import HEAD_BYTES, is_comment, layout_of, number
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,7 @@ class CsvStream:
     """An open recording.
 
     Args:
-        path: a CSV file, `.gz` or not; separated by comma, semicolon or tab.
+        path: a text file, `.gz` or not; see `layout` for what is understood.
         mapping: the user's own column names, see `columns.parse_mapping`.
         ambient_C: the ambient temperature, for a file without that column.
 
@@ -58,32 +59,38 @@ class CsvStream:
         self._file, self._raw = _open(path)
         self.size = Path(path).stat().st_size
         self._large = self.size > _LARGE_BYTES
+        self._decoder: codecs.IncrementalDecoder | None = None
         try:
             self._read_heading(mapping)
         except DataError:
             self.close()
             raise
-        self._row = 2
         self._last_ns: int | None = None
         self.duplicates = 0
         self.notes: list[str] = []
 
     def _read_heading(self, mapping: Mapping[str, str]) -> None:
-        heading = self._line()
-        if not heading.strip():
-            raise DataError(
-                f"{self.name}: the file is empty; a recording has a heading line and one row per sample"
-            )
-        self._separator = max((b",", b";", b"\t"), key=heading.count)
-        self.headings = _cells(heading, self._separator)
+        self._row = 1
+        head = self._read(HEAD_BYTES)
+        layout = layout_of(head, self.name, len(head) < HEAD_BYTES)
+        if layout.encoding not in ("utf-8", "utf-8-sig"):
+            self._decoder = codecs.getincrementaldecoder(layout.encoding)(errors="replace")
+            head = self._decoder.decode(head).encode()
+        at = 0
+        for _ in range(layout.first_row - 1):
+            at = head.find(b"\n", at) + 1 or len(head)
+        self._rest, self._row, self._layout = head[at:], layout.first_row, layout
+        self._separator = layout.separator.encode()
+        self.headings = list(layout.headings)
         self.columns = understand(self.headings, mapping, self.name)
         require(self.columns, ("time", "voltage", "current"), self.headings, self.name)
         # Written by the live recorder: what the line knew of each sample.
         self._flags_at = self.headings.index("link_flags") if "link_flags" in self.headings else None
         self._used = {
-            column.index: column.heading
+            index: self.headings[index]
             for quantity, column in self.columns.items()
             if quantity in ("time", "voltage", "current", "ambient")
+            for index in column.uses
         }
         if self._flags_at is not None:
             self._used[self._flags_at] = "link_flags"
@@ -92,7 +99,7 @@ class CsvStream:
         """All blocks, in order. Raises DataError where a cell is no number or time runs backwards."""
         rest = b""
         while True:
-            data = self._read(_BLOCK_BYTES)
+            data, self._rest = self._rest or self._text(_BLOCK_BYTES), b""
             if not data:
                 break
             data = rest + data
@@ -119,6 +126,7 @@ class CsvStream:
     def _block(self, text: bytes) -> Iterator[Block]:
         if b"\r" in text:
             text = text.replace(b"\r\n", b"\n")
+        text = self._layout.plain(text)
         table = _by_arrow(text, len(self.headings), self._used, self._separator) if self._large else None
         if table is None:
             table = _fast(text, len(self.headings), self._separator)
@@ -146,11 +154,7 @@ class CsvStream:
         yield Block(Samples(time_ns, voltage, current, ambient, flags), first_row, self._raw.tell())
 
     def _channel(self, table: Array, quantity: str) -> Array:
-        column = self.columns[quantity]
-        values = table[:, column.index]
-        if (column.factor, column.offset) == (1, 0):
-            return np.ascontiguousarray(values)
-        return values * column.factor + column.offset
+        return np.ascontiguousarray(self.columns[quantity].values(lambda index: table[:, index]))
 
     def _time(self, table: Array, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         column = self.columns["time"]
@@ -179,9 +183,9 @@ class CsvStream:
         names, used = self._used, sorted(self._used)
         values, rows = [], []
         for row, line in enumerate(text.split(b"\n")[:-1], start=self._row):
-            if not line.strip():
+            if not line.strip() or is_comment(line.decode(errors="replace")):
                 continue
-            cells = _cells(line, self._separator)
+            cells = self._layout.cells(line.decode(errors="replace"))
             if len(cells) <= used[-1]:
                 raise DataError(
                     f"{self.name}: row {row}: {len(cells)} cells where the heading has {len(self.headings)}; "
@@ -194,15 +198,25 @@ class CsvStream:
         return table, np.array(rows, dtype=np.int64)
 
     def _number(self, cell: str, heading: str, row: int) -> float:
-        try:
-            if "_" in cell:
-                raise ValueError
-            return float(cell) if cell.strip() else float("nan")
-        except ValueError:
+        value = number(cell)
+        if value is None:
             raise DataError(
                 f"{self.name}: row {row}, column {heading!r}: {cell[:40]!r} is not a number; "
                 "correct it, or leave the cell empty"
-            ) from None
+            )
+        return value
+
+    def _text(self, size: int) -> bytes:
+        """The next bytes, in UTF-8; empty at the end."""
+        data = self._read(size)
+        if self._decoder is None:
+            return data
+        while data:
+            text = self._decoder.decode(data)
+            if text:
+                return text.encode()
+            data = self._read(size)
+        return b""
 
     def _read(self, size: int) -> bytes:
         try:
@@ -211,12 +225,6 @@ class CsvStream:
             raise DataError(
                 f"{self.name}: row {self._row}: the compressed file is damaged or cut short ({error})"
             ) from None
-
-    def _line(self) -> bytes:
-        try:
-            return self._file.readline(_MAX_LINE_BYTES)
-        except (EOFError, gzip.BadGzipFile, OSError) as error:
-            raise DataError(f"{self.name}: not readable: {error}") from None
 
 
 def period_of(samples: Samples, otherwise_s: float) -> float:
@@ -234,13 +242,6 @@ def _open(path: str | Path) -> tuple[IO[bytes], IO[bytes]]:
     magic = raw.read(2)
     raw.seek(0)
     return (io.BufferedReader(gzip.GzipFile(fileobj=raw)), raw) if magic == b"\x1f\x8b" else (raw, raw)
-
-
-def _cells(line: bytes, separator: bytes) -> list[str]:
-    text = line.decode("utf-8-sig", errors="replace").strip("\r\n")
-    if '"' in text:
-        return next(csv.reader([text], delimiter=separator.decode()))
-    return [cell.strip() for cell in text.split(separator.decode())]
 
 
 def _by_arrow(text: bytes, columns: int, used: Iterable[int], separator: bytes) -> Array | None:

@@ -1,0 +1,57 @@
+"""Recordings as MATLAB files up to version 7: every numeric vector, also within structures, is a column by its name."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motorlens_physics.reading import Array, Table
+from motorlens_runtime.errors import DataError
+
+SUFFIXES = (".mat",)
+EXTRA = "workbench"
+
+
+def read(path: Path) -> Table:
+    """Read a MAT file: the vectors of the most common length; `run.v` is called `v` where that is unique."""
+    import scipy.io
+
+    try:
+        content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=False)
+    except NotImplementedError:
+        raise DataError(f"{path}: a MATLAB file of version 7.3; save it with save(..., '-v7')") from None
+    except Exception as error:  # scipy raises what its parser meets
+        raise DataError(f"{path}: not a MATLAB file ({error})") from None
+    vectors = dict(
+        _vectors({name: value for name, value in content.items() if not name.startswith("__")}, "")
+    )
+    if not vectors:
+        raise DataError(f"{path}: holds no vector of numbers")
+    lengths = [len(vector) for vector in vectors.values()]
+    usual = max(set(lengths), key=lambda n: (lengths.count(n), n))
+    other = [name for name, vector in vectors.items() if len(vector) != usual]
+    columns = {name: vector for name, vector in vectors.items() if len(vector) == usual}
+    short = [name.rpartition(".")[2] for name in columns]
+    headings = tuple(
+        last if short.count(last) == 1 else name for name, last in zip(columns, short, strict=True)
+    )
+
+    def numbers(used: Sequence[int]) -> Mapping[int, Array]:
+        values = list(columns.values())
+        return {k: values[k] for k in used}
+
+    notes = [f"not used, of another length than {usual}: {', '.join(other)}"] if other else []
+    return Table(headings, numbers, 1, notes)
+
+
+def _vectors(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Array]]:
+    for name, value in content.items():
+        fields = getattr(value, "_fieldnames", None)
+        if fields is not None:
+            yield from _vectors({field: getattr(value, field) for field in fields}, f"{prefix}{name}.")
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 1:
+            yield prefix + name, value.astype(np.float64)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 2:
+            for k, column in enumerate(value.T):
+                yield f"{prefix}{name}_{k + 1}", column.astype(np.float64)

@@ -1,0 +1,109 @@
+"""What looks wrong in a recording: words for "no value", counts taken for units, dead and clipped channels, gaps, signs."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# A word for "no value" stands alone, is a whole number, and comes back: so often, for so many samples, so many times as far
+# from its neighbours as these are from each other.
+_TIMES, _LONGEST, _FAR = 3, 10, 5.0
+# So many different whole numbers are a converter's; a command that is given in whole volts has fewer.
+_WHOLE = 32
+# So much of the voltage is explained by current and speed where their signs can be judged, and so many deviations.
+_EXPLAINED, _SURE = 0.5, 5.0
+
+
+def no_value(y: Array, voltage: Array | None) -> float | None:
+    """A whole number that stands for "no value" (-9999, -1, 0): the channel jumps to it and back, again and again.
+
+    Args:
+        y: (N,) one channel; NaN where missing.
+        voltage: (N,) what drove the motor; where it jumps as well, the channel had reason to. None for the voltage itself,
+            which may be given in pulses: of it only what is far out of all others is a word.
+    """
+    y = y[np.isfinite(y)] if voltage is None else y
+    starts = np.flatnonzero(np.r_[True, y[1:] != y[:-1]])
+    if len(starts) < 2 * _TIMES + 1:
+        return None
+    value, ends = y[starts], np.r_[starts[1:], len(y)]
+    between = slice(1, -1)
+    jump = np.minimum(np.abs(value[between] - value[:-2]), np.abs(value[between] - value[2:]))
+    back = np.abs(value[2:] - value[:-2])
+    alone = (jump > _FAR * back) & (ends - starts <= _LONGEST)[between]
+    alone &= value[between] == np.round(value[between])
+    usual = 3 * float(np.nanmedian(np.abs(np.diff(value))))
+    near = np.zeros(len(alone), dtype=bool)
+    if voltage is not None:
+        first, last = starts[between], ends[between]
+        inside = np.abs(voltage[first] - (voltage[first - 1] + voltage[last]) / 2)
+        near = alone & (jump > _FAR * usual) & (inside <= 0.1 * np.ptp(voltage))
+    for word in np.unique(value[between][alone]):
+        others = np.abs(y[np.isfinite(y) & (y != word)])
+        far = others.any() and abs(word) > 10 * others.max()
+        times = int(np.sum((alone if far else near) & (value[between] == word)))
+        if times >= max(_TIMES, 0.5 * np.sum(value == word)):
+            return float(word)
+    return None
+
+
+def whole_numbers(y: Array) -> bool:
+    """Whether a channel holds a converter's counts: many different values, all of them whole."""
+    finite = y[np.isfinite(y)]
+    return bool(np.all(finite == np.round(finite))) and len(np.unique(finite)) >= _WHOLE
+
+
+def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
+    """Gaps, dead and clipped channels, reversed signs, in words: they look wrong, but may be meant."""
+    notes = []
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > 10 * np.median(steps))
+    if len(gaps):
+        notes.append(
+            f"{len(gaps)} gaps in time, the longest {steps.max():.3g} s after {time[np.argmax(steps)]:.6g} s"
+        )
+    for quantity in ("voltage", "current", "speed", "temperature"):
+        y = channels.get(quantity)
+        if y is None:
+            continue
+        if np.nanmin(y) == np.nanmax(y):
+            notes.append(f"{quantity} never changes ({np.nanmin(y) + 0.0:g}): a dead channel?")
+            continue
+        for limit in (np.nanmin(y), np.nanmax(y)):
+            at_limit = y == limit
+            runs = np.sum(at_limit[1:] & at_limit[:-1])
+            # A commanded voltage rests at its levels, and a motor rests at zero; a measured signal does not rest at a peak.
+            if quantity in ("current", "speed") and limit != 0 and runs > 0.02 * len(y):
+                notes.append(
+                    f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
+                )
+    return notes + signs(channels)
+
+
+def signs(channels: Mapping[str, Array]) -> list[str]:
+    """Whether the voltage falls with current or speed, which it does at no motor (v = R i + ke w, R and ke above 0)."""
+    if not {"voltage", "current", "speed"} <= set(channels):
+        return []
+    table = np.column_stack([channels[q] for q in ("voltage", "current", "speed")])
+    table = table[np.isfinite(table).all(axis=1)]
+    if len(table) < 10 or not np.ptp(table, axis=0).all():
+        return []
+    v, columns = table[:, 0], table[:, 1:] / np.ptp(table[:, 1:], axis=0)
+    slopes, _, rank, _ = np.linalg.lstsq(columns, v, rcond=None)
+    rest = v - columns @ slopes
+    if rank < 2 or rest @ rest > (1 - _EXPLAINED) * (v @ v):
+        return []
+    # Residuals hang together; a tenth of the samples count.
+    sd = np.sqrt(10 * (rest @ rest) / len(v) * np.diag(np.linalg.inv(columns.T @ columns)))
+    if slopes[0] < -_SURE * sd[0]:
+        return [
+            "the voltage falls with the current at equal speed: is the current reversed? --column 'current=-NAME'"
+        ]
+    if slopes[1] < -_SURE * sd[1]:
+        return [
+            "the voltage falls with the speed at equal current: is the speed reversed, or are voltage and current swapped? "
+            "--column 'speed=-NAME', or --column voltage=NAME --column current=NAME"
+        ]
+    return []

@@ -1,0 +1,244 @@
+"""What `--column voltage=duty_pct*vbat_V/100` says: a formula over columns of a recording, with its units checked.
+
+Columns enter by their heading and are converted to SI by the unit written in it; a constant may have a unit, `0.033[m]`.
+`+ - * /` and brackets; a heading that is no plain word is written as it stands or between quotes. Nothing is evaluated but
+these.
+
+A constant without a unit that equals the conversion of a column's unit (100 of a percentage, 1000 of millivolts) states that
+conversion, and is not applied a second time: `v_mV/1000` and `v_mV` are the same voltage.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.units import PLAIN, Dimension, Unit, name_of, parse
+
+Array = NDArray[np.float64]
+Cells = Callable[[int], Array]
+UnitOf = Callable[[str], Unit | None]
+
+# A typed conversion (0.1047 for rpm) is the unit's to the digits that were typed.
+_SAME = 1e-3
+_NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_NAME = re.compile(r"[^\s*/+\-()\[\]'\"]+")
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A parsed formula.
+
+    Attributes:
+        text: as it was written.
+        uses: the columns it needs, by index.
+        value: from the numbers of a column by its index, as they stand in the file, to SI.
+        dimension: of the result.
+        plain: whether nothing in it had a unit.
+        notes: what was taken for granted, in words.
+    """
+
+    text: str
+    uses: tuple[int, ...]
+    value: Callable[[Cells], Array]
+    dimension: Dimension
+    plain: bool
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Term:
+    value: Callable[[Cells], Array]
+    dimension: Dimension = PLAIN
+    plain: bool = True
+    uses: tuple[int, ...] = ()
+    # Within a product: the conversions of its columns (factor, heading), and its constants without a unit.
+    conversions: tuple[tuple[float, str], ...] = ()
+    constants: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __mul__(self, other: "_Term") -> "_Term":
+        mine, others = self.value, other.value
+        dimension = tuple(a + b for a, b in zip(self.dimension, other.dimension, strict=True))
+        return _Term(
+            lambda cells: mine(cells) * others(cells), dimension, self.plain and other.plain, self.uses + other.uses,
+            self.conversions + other.conversions, self.constants + other.constants, self.notes + other.notes,
+        )  # fmt: skip
+
+    def inverse(self) -> "_Term":
+        """One over it."""
+        mine = self.value
+        return replace(
+            self,
+            value=lambda cells: 1.0 / mine(cells),
+            dimension=tuple(-d for d in self.dimension),
+            conversions=tuple((1 / factor, heading) for factor, heading in self.conversions),
+            constants=tuple(1 / constant for constant in self.constants),
+        )
+
+    def settled(self) -> "_Term":
+        """Its product done: a constant that states the conversion of a column is taken out again."""
+        conversions, twice, notes = list(self.conversions), 1.0, list(self.notes)
+        for constant in self.constants:
+            for conversion in conversions:
+                if math.isclose(constant, conversion[0], rel_tol=_SAME):
+                    conversions.remove(conversion)
+                    twice *= constant
+                    shown = f"{constant:g}" if constant >= 1 else f"1/{1 / constant:g}"
+                    notes.append(f"the factor {shown} is the unit of {conversion[1]!r}, applied once")
+                    break
+        mine = self.value
+        value = mine if twice == 1.0 else (lambda cells: mine(cells) / twice)
+        return replace(self, value=value, conversions=(), constants=(), notes=tuple(notes))
+
+
+class _Parser:
+    def __init__(self, text: str, headings: Sequence[str], unit_of: UnitOf, where: str) -> None:
+        self.text, self.at, self.where = text, 0, where
+        self.headings, self.unit_of = headings, unit_of
+        self.longest_first = sorted({h for h in headings if h}, key=len, reverse=True)
+
+    def fail(self, why: str) -> DataError:
+        return DataError(f"{self.where}: --column formula {self.text!r}: {why}")
+
+    def sum(self) -> _Term:
+        negative = self.skip("-")
+        total = self.product().settled()
+        if negative:
+            total = total * _constant(-1.0)
+        while (sign := self.skip("+") or self.skip("-")) is not None:
+            other = self.product().settled()
+            if other.dimension != total.dimension:
+                raise self.fail(
+                    f"{name_of(total.dimension)} and {name_of(other.dimension)} cannot be added; "
+                    "give a constant its unit, as in 0.5[V]"
+                )
+            total = _added(total, other, 1.0 if sign == "+" else -1.0)
+        return total
+
+    def product(self) -> _Term:
+        total = self.factor()
+        while (mark := self.skip("*") or self.skip("/")) is not None:
+            other = self.factor()
+            total = total * (other if mark == "*" else other.inverse())
+        return total
+
+    def factor(self) -> _Term:
+        if self.skip("-") is not None:
+            return self.factor() * _constant(-1.0)
+        rest = self.text[self.at :]
+        for heading in self.longest_first:
+            if rest.startswith(heading) and not re.match(r"\w", rest[len(heading) : len(heading) + 1]):
+                self.at += len(heading)
+                return self.column(heading)
+        if self.skip("(") is not None:
+            inside = self.sum()
+            if self.skip(")") is None:
+                raise self.fail("a closing bracket is missing")
+            return inside
+        if rest[:1] in ("'", '"') and rest.find(rest[0], 1) > 0:
+            heading = rest[1 : rest.index(rest[0], 1)]
+            self.at += len(heading) + 2
+            return self.column(heading)
+        number = _NUMBER.match(rest)
+        if number:
+            self.at += number.end()
+            return self.constant(float(number[0]))
+        name = _NAME.match(rest)
+        if name:
+            return self.column(name[0])
+        raise self.fail(
+            f"a column or a number is missing before {rest[:10]!r}" if rest else "it ends too early"
+        )
+
+    def constant(self, value: float) -> _Term:
+        bracket = re.match(r"\s*\[([^\]]*)\]", self.text[self.at :])
+        if not bracket:
+            return replace(_constant(value), constants=(value,) if value != 0 else ())
+        unit = parse(bracket[1].strip())
+        if unit is None:
+            raise self.fail(f"{bracket[1]!r} is no unit; write 0.5[V], 0.033[m] or 0.01[V*s/rad]")
+        self.at += bracket.end()
+        return replace(_constant(value * unit.factor), dimension=unit.dimension, plain=False)
+
+    def column(self, heading: str) -> _Term:
+        if heading not in self.headings:
+            near = difflib.get_close_matches(heading, self.longest_first, n=1)
+            known = ", ".join(repr(h) for h in self.headings if h)
+            raise self.fail(
+                f"no column {heading!r}; " + (f"did you mean {near[0]!r}?" if near else f"it has {known}")
+            )
+        index, unit = self.headings.index(heading), self.unit_of(heading)
+        if unit is None:
+            return _Term(lambda cells: cells(index), uses=(index,))
+        factor, offset = unit.factor, unit.offset
+        return _Term(
+            lambda cells: cells(index) * factor + offset, unit.dimension, False, (index,),
+            ((factor, heading),) if factor != 1.0 else (),
+        )  # fmt: skip
+
+    def skip(self, mark: str) -> str | None:
+        """Past blanks and `mark`; None if something else comes."""
+        while self.text[self.at : self.at + 1].isspace():
+            self.at += 1
+        if not self.text.startswith(mark, self.at):
+            return None
+        self.at += 1
+        while self.text[self.at : self.at + 1].isspace():
+            self.at += 1
+        return mark
+
+
+def _constant(value: float) -> _Term:
+    return _Term(lambda cells: np.array(value))
+
+
+def _added(one: _Term, other: _Term, sign: float) -> _Term:
+    first, second = one.value, other.value
+    return replace(
+        one,
+        value=lambda cells: first(cells) + sign * second(cells),
+        plain=one.plain and other.plain,
+        uses=one.uses + other.uses,
+        notes=one.notes + other.notes,
+    )
+
+
+def is_formula(text: str, headings: Sequence[str]) -> bool:
+    """Whether a text that is no heading is meant as a formula, and not as a heading with a slip in it."""
+    if re.search(r"[*/+]", text):
+        return True
+    return any(piece.strip("()'\" ") in headings for piece in text.split("-"))
+
+
+def parse_formula(text: str, headings: Sequence[str], unit_of: UnitOf, where: str) -> Formula:
+    """Parse a formula over the columns of a file.
+
+    Args:
+        text: the formula.
+        headings: of all columns; they are found in the text as they stand, the longest first.
+        unit_of: the unit written in a heading, None if there is none.
+        where: the file's name, for messages.
+
+    Raises:
+        DataError: a column that is not there, an unknown unit, units that cannot be added, or no formula at all.
+    """
+    parser = _Parser(text.strip(), headings, unit_of, where)
+    term = parser.sum()
+    if parser.at < len(parser.text):
+        raise parser.fail(f"{parser.text[parser.at :][:20]!r} is not understood")
+    if not term.uses:
+        raise parser.fail("it holds no column of the file")
+    return Formula(
+        text,
+        tuple(dict.fromkeys(term.uses)),
+        term.value,
+        term.dimension,
+        term.plain,
+        tuple(dict.fromkeys(term.notes)),
+    )

@@ -1,0 +1,297 @@
+"""One run in the many ways people write it: read as the plain file is, or refused with what to do about it."""
+
+import gzip
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.recordings import FOLDER, needs_recordings
+
+from motorlens_physics.reading.clock import steady
+from motorlens_physics.recording import Recording, read_recording
+from motorlens_runtime.errors import DataError
+
+N = 400
+TIME = 0.001 * np.arange(1, N + 1)
+VOLTAGE = np.where(TIME < 0.2, 6.0, 3.25)
+SPEED = np.round(100 * (1 - np.exp(-TIME / 0.05)) - 40 * (TIME > 0.2) * (1 - np.exp(-(TIME - 0.2) / 0.05)), 3)
+CURRENT = np.round((VOLTAGE - 0.05 * SPEED) / 2, 4)
+NAMES = ("time_s", "voltage_V", "current_A", "speed_rad_s")
+
+
+def text(
+    columns: Sequence[np.ndarray] = (TIME, VOLTAGE, CURRENT, SPEED),
+    names: Sequence[str] = NAMES,
+    mark: str = ",",
+    cell: Callable[[float], str] = "{:.7g}".format,
+) -> str:
+    rows = [mark.join(names)] if names else []
+    return "\n".join(rows + [mark.join(map(cell, row)) for row in np.column_stack(columns)]) + "\n"
+
+
+def comma(x: float) -> str:
+    return f"{x:.7g}".replace(".", ",")
+
+
+def read(
+    folder: Path, content: str | bytes, mapping: Sequence[str] = (), name: str = "rec.csv", **more
+) -> Recording:
+    raw = content.encode() if isinstance(content, str) else content
+    (folder / name).write_bytes(raw)
+    return read_recording(folder / name, mapping, **more)
+
+
+PLAIN = text()
+WRITTEN: dict[str, str | bytes] = {
+    "semicolons and decimal commas": text(mark=";", cell=comma),
+    "German words and units": text(
+        names=("Zeit [s]", "Spannung [V]", "Strom [A]", "Drehzahl [rad/s]"), mark=";", cell=comma
+    ),
+    "tabs and decimal commas": text(mark="\t", cell=comma),
+    "runs of blanks": text(mark="   "),
+    "blanks at both ends": "\n".join(f"  {line}  " for line in text(mark=" ").splitlines()),
+    "quoted cells": text(cell=lambda x: f'"{x:.7g}"'),
+    "quoted cells with decimal commas": text(cell=lambda x: f'"{comma(x)}"'),
+    "blanks after commas": text(mark=", "),
+    "a preamble of words": "Test stand 3\nOperator: K. M., shift 2\n\n" + PLAIN,
+    "comments above and between": "# logger\n% run 7\n" + PLAIN.replace("\n0.1,", "\n# a mark\n0.1,"),
+    "the heading in a comment": "# " + PLAIN,
+    "a row of units": PLAIN.replace(",".join(NAMES), "time,voltage,current,speed\ns,V,A,rad/s"),
+    "a row of units in brackets": PLAIN.replace(",".join(NAMES), "time,voltage,current,speed\n[s],[V],[A],[rad/s]"),
+    "separators at the end": PLAIN.replace("\n", ",\n"),
+    "Windows line ends": PLAIN.replace("\n", "\r\n"),
+    "old Macintosh line ends": PLAIN.replace("\n", "\r"),
+    "UTF-16 with a mark": PLAIN.encode("utf-16"),
+    "UTF-16 without": PLAIN.encode("utf-16-le"),
+    "UTF-8 with a mark": PLAIN.encode("utf-8-sig"),
+    "Windows code page": PLAIN.replace("speed_rad_s", "speed_rad_s,temperature (°C)").replace("\n", ",20\n")
+    .replace("(°C),20", "(°C)").encode("cp1252"),
+    "zipped": gzip.compress(PLAIN.encode()),
+    "other units": text((1e6 * TIME, 1e3 * VOLTAGE, 1e3 * CURRENT, SPEED * 30 / np.pi),
+                        ("t_us", "voltage_mV", "current_mA", "n_rpm"), cell="{:.12g}".format),
+    "exponents": text(cell="{:.7e}".format),
+    "a line cut off": PLAIN + "0.401,3.2",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", WRITTEN)
+def test_the_same_run_is_read_however_it_is_written(tmp_path, how):
+    recording = read(tmp_path, WRITTEN[how])
+    np.testing.assert_allclose(recording.time_s, TIME, rtol=1e-9)
+    for quantity, y in (("voltage", VOLTAGE), ("current", CURRENT), ("speed", SPEED)):
+        np.testing.assert_allclose(recording.channels[quantity], y, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("word", ["n/a", "NaN", "", "NULL", "-", "#N/A"])
+def test_words_for_nothing_are_missing_values(tmp_path, word):
+    lines = PLAIN.splitlines()
+    for at in (11, 57):
+        cells = lines[at].split(",")
+        lines[at] = ",".join([*cells[:3], word])
+    recording = read(tmp_path, "\n".join(lines))
+    assert np.flatnonzero(np.isnan(recording.channels["speed"])).tolist() == [10, 56]
+    assert any("2 missing values of speed left out" in note for note in recording.notes)
+
+
+def test_iso_dates_are_seconds_since_the_first(tmp_path):
+    lines = [f"2026-11-23T10:00:{t:09.6f},{v:g}" for t, v in zip(TIME, VOLTAGE, strict=True)]
+    recording = read(tmp_path, "time_s,voltage_V\n" + "\n".join(lines))
+    np.testing.assert_allclose(recording.time_s, TIME - TIME[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("jitter_s", [0.0002, 0.0006])
+def test_stamps_that_jitter_give_way_to_the_clock_behind_them(tmp_path, jitter_s):
+    late = np.random.default_rng(1).uniform(0, jitter_s * 3, N)
+    recording = read(tmp_path, text((TIME + late, VOLTAGE, CURRENT, SPEED)))
+    assert len(recording) == N and np.all(np.diff(recording.time_s) > 0)
+    if np.any(np.diff(TIME + late) <= 0):
+        assert np.ptp(np.diff(recording.time_s)) < 1e-12
+        assert recording.period_s == pytest.approx(0.001, rel=0.01)
+        assert any("steady clock" in note for note in recording.notes)
+
+
+def test_coarse_stamps_give_way_to_the_clock_behind_them(tmp_path):
+    recording = read(tmp_path, text((np.round(TIME, 2), VOLTAGE, CURRENT, SPEED)))
+    np.testing.assert_allclose(recording.time_s, TIME, atol=0.001)
+
+
+def test_no_steady_clock_is_seen_where_there_is_none():
+    rng = np.random.default_rng(2)
+    restarted = np.r_[TIME[:200], TIME[:200]]
+    lossy = np.delete(np.arange(500), np.s_[100:200]) * 0.001
+    assert steady(restarted) is None
+    assert steady(rng.permutation(TIME)) is None
+    assert steady(np.round(lossy, 2)) is None
+
+
+def test_a_measured_angle_gives_the_speed_also_where_it_wraps(tmp_path):
+    angle = np.cumsum(SPEED) * 0.001
+    columns = (TIME, VOLTAGE, CURRENT, np.degrees(angle) % 360)
+    recording = read(tmp_path, text(columns, (*NAMES[:3], "angle_deg"), cell="{:.9g}".format))
+    speed = recording.channels["speed"]
+    np.testing.assert_allclose(speed[1:-1], ((SPEED[1:] + np.r_[SPEED[2:], 0])[: N - 2]) / 2, atol=1e-3)
+    assert any("from the angle" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("word", "quantity"), [(-9999.0, 2), (-1.0, 2), (65535.0, 3), (0.0, 3), (-9999.0, 1)]
+)
+def test_a_number_that_means_no_value_is_left_out_and_said(tmp_path, word, quantity):
+    columns = [TIME, VOLTAGE, CURRENT, SPEED.copy()]
+    columns[quantity] = columns[quantity].copy()
+    at = np.arange(30, 390, 33)
+    columns[quantity][at] = word
+    recording = read(tmp_path, text(columns))
+    name = ("time", "voltage", "current", "speed")[quantity]
+    assert any(f"{name} is exactly {word:g}" in note for note in recording.notes)
+    if name != "voltage":
+        assert np.flatnonzero(np.isnan(recording.channels[name])).tolist() == at.tolist()
+    else:
+        assert len(recording) == N - len(at)
+    kept = read(tmp_path, text(columns), no_values=())
+    assert np.sum(kept.channels[name] == word) >= len(at)
+
+
+def test_pulses_and_stops_are_not_taken_for_missing_values(tmp_path):
+    """A voltage given in short pulses, and a motor that stands still between them, are what was done."""
+    voltage = np.where(np.arange(N) % 40 < 3, 12.0, 0.0)
+    speed = np.where(np.arange(N) % 40 < 3, 80.0, 0.0)
+    recording = read(tmp_path, text((TIME, voltage, voltage / 4, speed)))
+    assert np.isfinite(recording.channels["speed"]).all() and len(recording) == N
+    assert not any("no value" in note for note in recording.notes)
+
+
+def test_rows_without_an_input_are_left_out(tmp_path):
+    lines = PLAIN.splitlines()
+    for at in range(10, 400, 20):
+        cells = lines[at].split(",")
+        lines[at] = ",".join([cells[0], "", *cells[2:]])
+    recording = read(tmp_path, "\n".join(lines))
+    assert len(recording) == N - 20
+    assert any("20 rows without a value of voltage left out" in note for note in recording.notes)
+
+
+REFUSED = {
+    "whole stamps without a unit": (text((np.arange(N), VOLTAGE), ("time", "voltage_V")), "--column time_ms=time"),
+    "counts": (text((TIME, np.round(VOLTAGE * 77) + np.arange(N) % 50, CURRENT), ("time_s", "voltage", "current")),
+               "--column voltage_V=voltage"),
+    "no headings": (text(names=()), "no heading line"),
+    "decimal commas between commas": (text(cell=comma), "cells where the heading has 4"),
+    "duty and supply": (text((TIME, 100 * VOLTAGE / 12, 12 + 0 * TIME), ("time_s", "duty_pct", "vbat_V")),
+                        "--column 'voltage=duty_pct*vbat_V/100'"),
+    "a clock that was started anew": (text((np.r_[TIME[:200], TIME[:200]], VOLTAGE), NAMES[:2]), "split the file"),
+    "half of an input": (text((TIME, np.where(np.arange(N) % 3, np.nan, VOLTAGE)), NAMES[:2]), "fill the column"),
+    "binary": (bytes(range(256)) * 4, "not a text file"),
+    "nothing": ("", "empty"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_read_is_refused_in_one_line_with_the_cure(tmp_path, what):
+    content, cure = REFUSED[what]
+    with pytest.raises(DataError) as caught:
+        read(tmp_path, content)
+    assert cure in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_columns_that_were_not_used_are_listed_and_what_they_may_be(tmp_path):
+    recording = read(tmp_path, text(names=("time_s", "voltage_V", "iL_A", "wheel_omega_rad_s")))
+    assert any(note == "not used: iL_A, wheel_omega_rad_s" for note in recording.notes)
+    assert any("--column current=iL_A" in note for note in recording.notes)
+    assert any("--column speed=wheel_omega_rad_s" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(("sign", "which"), [((1, -1, 1), "current"), ((1, 1, -1), "speed")])
+def test_a_reversed_sensor_is_suspected(tmp_path, sign, which):
+    columns = (TIME, sign[0] * VOLTAGE, sign[1] * CURRENT, sign[2] * SPEED)
+    assert any(f"is the {which} reversed" in note for note in read(tmp_path, text(columns)).notes)
+    assert not any("reversed" in note for note in read(tmp_path, PLAIN).notes)
+
+
+def test_matlab_files_are_read_by_channel(tmp_path):
+    io = pytest.importorskip("scipy.io")
+    run = {"time_s": TIME, "voltage_V": VOLTAGE, "current_mA": 1000 * CURRENT, "note": "bench 3"}
+    io.savemat(tmp_path / "rec.mat", {"run": run, "gain": 3.0, "short": np.arange(7)})
+    recording = read_recording(tmp_path / "rec.mat")
+    np.testing.assert_allclose(recording.channels["current"], CURRENT)
+    assert any("of another length" in note and "short" in note for note in recording.notes)
+    (tmp_path / "no.mat").write_bytes(b"MATLAB 7.3 MAT-file nothing")
+    with pytest.raises(DataError, match=r"no\.mat"):
+        read_recording(tmp_path / "no.mat")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_mdf_files_are_read_by_channel(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        fast = [asammdf.Signal(VOLTAGE, TIME, unit="V", name="Motor Voltage"),
+                asammdf.Signal(1000 * CURRENT, TIME, unit="mA", name="Current")]  # fmt: skip
+        file.append(fast)
+        file.append([asammdf.Signal(20.0 + np.arange(4), TIME[::100], unit="degC", name="Temperature")])
+        file.save(tmp_path / "rec.mf4")
+    recording = read_recording(tmp_path / "rec.mf4")
+    np.testing.assert_allclose(recording.time_s, TIME)
+    np.testing.assert_allclose(recording.channels["voltage"], VOLTAGE)
+    np.testing.assert_allclose(recording.channels["current"], CURRENT)
+    temperature = recording.channels["temperature"]
+    assert np.flatnonzero(np.isfinite(temperature)).tolist() == [0, 100, 200, 300]
+    assert temperature[[0, 300]].tolist() == [20.0, 23.0]
+
+
+# What is done to the run of robot 11 in each file of bad/: it reads as the original does ("same"), reads with a word
+# about it, or is refused with a cure.
+SAME, SAID, NO = "same", "said", "refused"
+BAD = {
+    "adc": (NO, "--column voltage_V=voltage"), "binary": (NO, "not a text file"), "blank": (SAME, ""),
+    "comment": (SAME, ""), "const": (SAID, "current never changes"), "counts": (SAME, "not used: encoder_counts"),
+    "counts_angle": (SAID, "from the angle"), "crlf": (SAME, ""), "dup_time": (SAME, "steady clock"),
+    "duty_pct": (NO, "voltage=duty_pct*vbat_V/100"), "duty_signed": (NO, "voltage=pwm/255*battery_V"),
+    "empty": (NO, "empty"), "german": (SAME, ""), "jitter": (SAME, "steady clock"),
+    "missing_cells": (SAME, "missing values of speed left out"), "missing_rows": (SAID, ""),
+    "missing_voltage": (SAID, "rows without a value of voltage left out"), "ms": (SAME, ""),
+    "ms_wrong": (NO, "--column time_ms=time"), "nan_words": (SAME, "missing values"),
+    "noheader": (NO, "no heading line"), "rest": (SAID, "speed never changes"),
+    "revsign": (SAID, "is the current reversed?"), "semicolon_comma": (SAME, ""), "semicolon_dot": (SAME, ""),
+    "sentinel": (SAME, "current is exactly -1"), "sentinel9999": (SAME, "current is exactly -9999"),
+    "short": (SAID, ""), "short60": (SAID, ""), "swapped": (SAID, "voltage and current swapped?"), "tab": (SAME, ""),
+    "trunc": (SAID, "cut short"), "units_row": (SAME, ""), "us_t": (SAID, ""), "utf16": (SAME, ""),
+}  # fmt: skip
+
+
+@needs_recordings
+def test_every_spoilt_recording_has_its_line_here():
+    assert {path.stem for path in (FOLDER / "bad").glob("*.csv")} == set(BAD)
+
+
+@needs_recordings
+@pytest.mark.parametrize("name", BAD)
+def test_spoilt_recordings_are_read_right_or_refused_with_the_cure(name):
+    what, words = BAD[name]
+    path = FOLDER / "bad" / f"{name}.csv"
+    if what == NO:
+        with pytest.raises(DataError) as caught:
+            read_recording(path)
+        assert words in str(caught.value)
+        return
+    recording = read_recording(path)
+    assert words in " / ".join(recording.notes)
+    if what == SAME:
+        good = read_recording(FOLDER / "regbot" / "robot_11_L.csv")
+        assert np.abs(recording.time_s - good.time_s).max() < 0.002
+        for quantity, y in recording.channels.items():
+            there = np.isfinite(y)
+            assert there.mean() > 0.85
+            np.testing.assert_allclose(y[there], good.channels[quantity][there], rtol=2e-3, atol=6e-3)
+
+
+@needs_recordings
+@pytest.mark.parametrize(
+    ("name", "formula"), [("duty_pct", "duty_pct*vbat_V/100"), ("duty_signed", "pwm/255*battery_V")]
+)
+def test_duty_times_supply_is_the_voltage(name, formula):
+    good = read_recording(FOLDER / "regbot" / "robot_11_L.csv")
+    recording = read_recording(FOLDER / "bad" / f"{name}.csv", [f"voltage={formula}"])
+    np.testing.assert_allclose(
+        recording.channels["voltage"], good.channels["voltage"], atol=12.15 / 255 / 2 + 1e-3
+    )
