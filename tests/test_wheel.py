@@ -33,21 +33,66 @@ def write_inputs(folder):
     (folder / "rec.csv").write_text("time_s,voltage_V,current_A\n" + rows)
 
 
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel, built once from this checkout."""
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    (built,) = folder.glob("motorlens-*.whl")
+    return built
+
+
 @pytest.mark.slow
-def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path):
-    write_inputs(tmp_path)
-    build = [
+def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_path, wheel):
+    """What the README promises after `pip install`, with the packages it needs borrowed from here."""
+    venv.create(tmp_path / "clean", with_pip=False)
+    python = tmp_path / "clean" / "bin" / "python"
+    (site,) = (tmp_path / "clean" / "lib").glob("python3.*/site-packages")
+    (site / "borrowed.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    install = [
         sys.executable,
         "-m",
-        "build",
-        "--wheel",
-        "--no-isolation",
-        "--outdir",
-        str(tmp_path / "dist"),
-        str(ROOT),
+        "pip",
+        "--python",
+        str(python),
+        "install",
+        "-q",
+        "--no-deps",
+        "--no-index",
+        str(wheel),
     ]
-    subprocess.run(build, check=True, capture_output=True)
-    (wheel,) = (tmp_path / "dist").glob("motorlens-*.whl")
+    subprocess.run(install, check=True, capture_output=True)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    motorlens = tmp_path / "clean" / "bin" / "motorlens"
+
+    def run(*words):
+        done = subprocess.run(
+            [motorlens, *words], cwd=empty, env=clean, capture_output=True, text=True, timeout=300
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    where = [python, "-c", "import motorlens_runtime as m; print(m.__file__)"]
+    assert str(site) in subprocess.run(where, env=clean, capture_output=True, text=True, check=True).stdout
+    run("simulate", "mellah2016", "--scenario", "load_steps", "--noise", "0.2%", "-o", "bench.csv")
+    assert "speed" in run("compare", "bench.csv", "--motor", "mellah2016")
+    run("infer", "bench.csv", "--sensor", "mellah2016", "-o", "estimates.csv")
+    rows = (empty / "bench.csv").read_text().count("\n")
+    assert (empty / "estimates.csv").read_text().count("\n") == rows
+    drive = [motorlens, "drive", "--duration", "1"]
+    with subprocess.Popen(drive, cwd=empty, env=clean, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("/dev/")
+        process.terminate()
+        process.wait(timeout=30)
+
+
+@pytest.mark.slow
+def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path, wheel):
+    write_inputs(tmp_path)
     venv.create(tmp_path / "clean", with_pip=True)
     python = tmp_path / "clean" / "bin" / "python"
     installed = subprocess.run([python, "-m", "pip", "install", "-q", wheel], capture_output=True, text=True)

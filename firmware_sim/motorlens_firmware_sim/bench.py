@@ -17,7 +17,7 @@ from motorlens_runtime.errors import DataError
 class Setup:
     """What is on the bench. `noise` as in `motorlens simulate`; `rows_per_frame` instants travel together."""
 
-    motor: str = "models/motors/mellah2016.toml"
+    motor: str = "mellah2016"
     scenario: str = "duty"
     duration_s: float = 60.0
     rate_Hz: int = 1000

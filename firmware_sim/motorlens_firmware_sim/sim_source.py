@@ -1,6 +1,6 @@
 """The source `sim:` of `motorlens run`: the simulated drive without a line, its bytes handed over as they would come.
 
-`sim:models/motors/mellah2016.toml?scenario=duty&rate=1000&duration=60&seed=0&speedup=1`; everything behind `?`, and the
+`sim:mellah2016?scenario=duty&rate=1000&duration=60&seed=0&speedup=1`; everything behind `?`, and the
 motor file too, may be left out. `speedup=0` hands over all there is at once.
 """
 

@@ -29,9 +29,12 @@ from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Parameter, Rated, parameters
 from motorlens_physics.sensor_model import SensorModel, sensor_models
 from motorlens_runtime.errors import DataError, ModelError
+from motorlens_runtime.files.shipped import motor_path
 
 SCHEMA = "motorlens.motor/1"
 _TOP = ("schema", "name", "description", "source", "rated", "parameters", "effects", "sensors")
+# Faults that a sensor can have and a command cannot.
+_NO_SENSOR = ("gain", "offset", "lag")
 _ENTRY = ("value", "unit", "sd", "source")
 
 
@@ -95,14 +98,14 @@ class MotorFile:
 
 
 def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ()) -> MotorFile:
-    """Read a motor file; `effects_from` are effect classes from outside the catalogue.
+    """Read a motor file, or the shipped one of that name; `effects_from` are effect classes from outside the catalogue.
 
     Raises:
         ModelError: not TOML, an unknown key (with the nearest known one), a wrong unit, a value out of bounds.
         OSError: the file cannot be read.
     """
-    where = str(path)
-    text = Path(path).read_text(encoding="utf-8")
+    where, path = str(path), motor_path(path)
+    text = path.read_text(encoding="utf-8")
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -138,6 +141,23 @@ def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ())
     )
     name = str(document.get("name", Path(path).stem))
     return MotorFile(name, motor, plate, sensors, known, str(document.get("description", "")), text)
+
+
+def voltage_commanded(file: MotorFile) -> MotorFile:
+    """The same motor with a voltage that is a command, duty times supply: its gain, offset and lag are known to be none.
+
+    A command may act late; its delay stays open.
+    """
+    models = sensor_models()
+    ideal = tuple(models[f"voltage_sensor_{kind}"].at_null(file.rated) for kind in _NO_SENSOR)
+    names = {model.name() for model in ideal}
+    sensors = (*(s for s in file.sensors if s.name() not in names), *ideal)
+    known = {
+        f"{model.name()}.{name}": Knowledge(0.0, "measured: a command, no sensor")
+        for model in ideal
+        for name in model.parameters()
+    }
+    return replace(file, sensors=sensors, knowledge={**file.knowledge, **known})
 
 
 def write_motor_file(file: MotorFile, path: Path | str) -> None:

@@ -76,7 +76,7 @@ def _parser(modules: dict[str, str], chosen: str | None) -> argparse.ArgumentPar
     parser = argparse.ArgumentParser(
         prog="motorlens",
         description="Virtual sensor for brushed DC motors, and the workbench that tells which physics is missing.",
-        epilog="example: motorlens infer recording.csv --sensor models/sensors/mellah2016.onnx -o estimates.csv",
+        epilog="example: motorlens infer recording.csv --sensor mellah2016 -o estimates.csv",
     )
     parser.add_argument("--version", action="version", version=f"motorlens {version('motorlens')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

@@ -1,8 +1,8 @@
 """The simulated drive: prints the port it serves, then sends what a real drive would.
 
 example:
-  motorlens drive --motor models/motors/mellah2016.toml --scenario duty --rate 1000 --duration 60
-  motorlens run --source serial:///dev/pts/3 --sensor models/sensors/mellah2016.onnx     (in another terminal)
+  motorlens drive --motor mellah2016 --scenario duty --rate 1000 --duration 60
+  motorlens run --source serial:///dev/pts/3 --sensor mellah2016     (in another terminal)
 
 A motor runs through a scenario; a 12-bit converter digitises its voltage and current; frames
 (docs/wire-protocol.md) go over a pseudo-terminal as over a serial line. It starts when somebody opens the port.
@@ -24,7 +24,10 @@ LINGER_S = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--motor", default="models/motors/mellah2016.toml", metavar="MOTOR.toml", help="motor file"
+        "--motor",
+        default="mellah2016",
+        metavar="MOTOR.toml",
+        help="motor file (default: mellah2016, shipped)",
     )
     parser.add_argument(
         "--scenario", default="duty", metavar="NAME", help="what the motor does (default: duty)"

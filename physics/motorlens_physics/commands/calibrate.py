@@ -11,20 +11,19 @@ the motor file states as a deviation is a prior. What the recordings do not tell
 
 import argparse
 
+from motorlens_physics.command_inputs import add_input_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", nargs="*", metavar="REC", help="recordings, CSV or Parquet")
-    parser.add_argument("--motor", metavar="MOTOR.toml", help="the motor file to start from")
+    add_input_arguments(parser, motor_required=False)
     parser.add_argument("--datasheet", nargs="+", metavar="NAME=NUMBER",
                         help="make a motor file from the numbers in the example")  # fmt: skip
     parser.add_argument("-o", "--output", required=True, metavar="NEW.toml", help="where the motor file goes")
     parser.add_argument(
         "--fit", metavar="KEYS", help="parameters to fit, by commas (default: all that can show)"
     )
-    parser.add_argument("--column", action="append", default=[], metavar="QUANTITY=NAME",
-                        help="which column holds a quantity; repeatable")  # fmt: skip
     parser.add_argument("--between-rows", choices=("hold", "linear"),
                         help="what voltage and load do between rows (default: what fits better)")  # fmt: skip
     parser.add_argument(
@@ -32,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--window", type=float, metavar="S",
                         help="simulate in windows of this length, tied together: for runs that drift")  # fmt: skip
-    parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
     add_json_argument(parser)
 
 
@@ -40,29 +38,28 @@ def run(arguments: argparse.Namespace) -> int:
     import sys
 
     from motorlens_physics.calibration import calibrate, default_keys
+    from motorlens_physics.command_inputs import inputs_from, print_notes
     from motorlens_physics.datasheet import from_datasheet, parse_datasheet
-    from motorlens_physics.effect import load_effects
-    from motorlens_physics.motor_file import read_motor_file, write_motor_file
-    from motorlens_physics.recording import read_recording
+    from motorlens_physics.motor_file import write_motor_file
     from motorlens_runtime.errors import DataError
 
     if (arguments.motor is None) == (arguments.datasheet is None):
         raise DataError("give either --motor MOTOR.toml or --datasheet NAME=NUMBER ...")
     if arguments.datasheet:
         stem = arguments.output.rpartition("/")[2].removesuffix(".toml")
-        file = from_datasheet(stem, **parse_datasheet(arguments.datasheet))
+        given = inputs_from(arguments, from_datasheet(stem, **parse_datasheet(arguments.datasheet)))
     else:
-        own = load_effects(arguments.effects_from) if arguments.effects_from else {}
-        file = read_motor_file(arguments.motor, own.values())
+        given = inputs_from(arguments)
         if not arguments.recordings:
             raise DataError("no recordings to fit to")
+    file = given.file
     report: dict[str, object] = {
         "schema": "motorlens.calibrate/1",
         "motor": file.name,
         "output": arguments.output,
     }
     if arguments.recordings:
-        recordings = [read_recording(path, arguments.column) for path in arguments.recordings]
+        recordings = given.recordings(arguments.recordings)
         keys = arguments.fit.split(",") if arguments.fit else default_keys(file, recordings)
         held = None if arguments.between_rows is None else arguments.between_rows == "hold"
         found = calibrate(
@@ -70,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress=lambda text: print(text, file=sys.stderr),
         )  # fmt: skip
         file = found.file
+        print_notes(recordings)
         units = {key: file.meaning(key).unit for key in found.keys}
         for key in found.keys:
             if key not in found.unidentified:

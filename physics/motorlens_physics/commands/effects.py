@@ -2,7 +2,7 @@
 
 example:
   motorlens effects
-  motorlens effects stribeck_friction --motor models/motors/mellah2016.toml -o stribeck.png
+  motorlens effects stribeck_friction --motor mellah2016 -o stribeck.png
 
 The list gives what each effect adds to its balance, the typical size of the parameter that switches it on, for the rating
 plate of --motor (default: the 3 kW motor of the paper), and the scenarios of `motorlens simulate` that make it visible.

@@ -21,7 +21,10 @@ RUN_S = 140 * 60.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--motor", default="models/motors/mellah2016.toml", metavar="MOTOR.toml", help="motor file"
+        "--motor",
+        default="mellah2016",
+        metavar="MOTOR.toml",
+        help="motor file (default: mellah2016, shipped)",
     )
     parser.add_argument(
         "-o", "--output", default=".", metavar="DIR", help="where the figures go (default: here)"

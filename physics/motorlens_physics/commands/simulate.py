@@ -1,7 +1,7 @@
 """Simulate a motor through a standard test and write the recording.
 
 example:
-  motorlens simulate models/motors/mellah2016.toml --scenario load_steps \\
+  motorlens simulate mellah2016 --scenario load_steps \\
       --effect coulomb_friction.tau_c=0.3 --noise 0.5% --seed 1 -o recording.csv
 
 Scenarios: direct_on_line (the paper's run), duty (random voltage, load, ambient, start temperature), locked_rotor,

@@ -3,7 +3,7 @@
 It holds wheels for that PC, the sensor, settings, a hardened systemd service with watchdog, a udev rule, install and
 uninstall scripts and checksums. Copy it over and run `sh install.sh`.
 
-example: motorlens bundle models/sensors/mellah2016.onnx -o bundle --source serial:///dev/ttyUSB0?baud=921600
+example: motorlens bundle mellah2016 -o bundle --source serial:///dev/ttyUSB0?baud=921600
 """
 
 import argparse
@@ -13,7 +13,7 @@ from motorlens_runtime.cli import add_json_argument, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("sensor", metavar="SENSOR.onnx", type=Path)
+    parser.add_argument("sensor", metavar="SENSOR.onnx", help="sensor, or the name of a shipped one")
     parser.add_argument("-o", "--output", required=True, metavar="DIR", type=Path, help="a new directory")
     parser.add_argument(
         "--source",
@@ -49,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     import re
 
     from motorlens_runtime.errors import DataError
+    from motorlens_runtime.files.shipped import sensor_path
     from motorlens_runtime.progress import Progress
     from motorlens_runtime.sensor.bundle import MACHINES, Target, write_bundle
 
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         progress.update(0)
         found = write_bundle(
             arguments.output,
-            arguments.sensor,
+            sensor_path(arguments.sensor),
             target,
             arguments.source,
             publish,

@@ -2,7 +2,7 @@
 
 Takes about six seconds. With a sensor, also the highest sample rate that leaves half a core free.
 
-example: motorlens doctor --sensor models/sensors/mellah2016.onnx
+example: motorlens doctor --sensor mellah2016
 """
 
 import argparse

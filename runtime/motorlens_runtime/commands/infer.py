@@ -3,7 +3,7 @@
 The file may be of any length: it is streamed. Output is CSV, or Parquet if OUT ends in .parquet. Rows whose voltage or
 current is missing are estimated from what came before and flagged; the exit status is then 1.
 
-example: motorlens infer recording.csv --sensor models/sensors/mellah2016.onnx -o estimates.csv
+example: motorlens infer recording.csv --sensor mellah2016 -o estimates.csv
 """
 
 import argparse

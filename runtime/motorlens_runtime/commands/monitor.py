@@ -4,7 +4,7 @@ With --source, the sensor runs here, as with `motorlens run`, and the page shows
 that runs already: shm:NAME (every row), http://127.0.0.1:9464 (what prometheus: serves) or udp://127.0.0.1:9870 (which may
 come from another machine), after what it was given with --publish. The page is for this machine only and opens by itself.
 
-example: motorlens monitor --source serial:///dev/ttyUSB0?baud=921600 --sensor models/sensors/mellah2016.onnx \\
+example: motorlens monitor --source serial:///dev/ttyUSB0?baud=921600 --sensor mellah2016 \\
              --alarm 'temperature>90,within_s=120'
 """
 

@@ -4,7 +4,7 @@ SOURCE is serial:///dev/ttyUSB0?baud=921600, pty:///dev/pts/3, tcp://HOST:PORT, 
 file:REC.csv?speed=1; ?dialect=vesc reads a drive that speaks its own protocol. Each --publish is stdout:, csv:FILE,
 jsonl:FILE, parquet:FILE, udp://HOST:PORT, ... with ?rate=10&decimate=mean if wanted. Ctrl-C ends it with a summary.
 
-example: motorlens run --source pty:///dev/pts/3 --sensor models/sensors/mellah2016.onnx --publish stdout: --rate 10
+example: motorlens run --source pty:///dev/pts/3 --sensor mellah2016 --publish stdout: --rate 10
 """
 
 import argparse

@@ -16,6 +16,7 @@ from motorlens_runtime.errors import ModelError
 from motorlens_runtime.estimate.bank import FilterBank
 from motorlens_runtime.estimate.extractor import Extractor, extractor_of
 from motorlens_runtime.estimate.features import Channels
+from motorlens_runtime.files.shipped import sensor_path
 from motorlens_runtime.sensor.backend import TILE, Backend, NumpyBackend, OrtBackend
 from motorlens_runtime.sensor.onnx_file import OnnxFile, check_seal, parse
 from motorlens_runtime.sensor.specification import Specification, parse_specification
@@ -49,16 +50,17 @@ def load_sensor(path: str | Path, backend: str = "auto") -> Sensor:
     """Load and verify a sensor.
 
     Args:
-        path: the core graph, `NAME.onnx`.
+        path: the core graph, `NAME.onnx`, or the name of a shipped sensor.
         backend: "onnxruntime", "numpy", or "auto": numpy, which is the faster for so small a network, checked against
             onnxruntime where that is installed.
 
     Raises:
         ModelError: the file is absent, damaged, altered, of an unknown kind, or does not give its golden values.
     """
+    path = sensor_path(path)
     where = str(path)
     try:
-        data = Path(path).read_bytes()
+        data = path.read_bytes()
     except OSError as error:
         raise ModelError(f"{where}: {error.strerror}") from None
     if not data:
@@ -71,7 +73,7 @@ def load_sensor(path: str | Path, backend: str = "auto") -> Sensor:
     specification = parse_specification(_entry(model, "motorlens.spec", where), where)
     chosen, checker = _backends(data, model, specification, backend, where)
     sensor = Sensor(
-        where, _entry(model, "motorlens.name", where, Path(path).stem), _entry(model, "motorlens.version", where, ""),
+        where, _entry(model, "motorlens.name", where, path.stem), _entry(model, "motorlens.version", where, ""),
         _entry(model, "motorlens.licence", where, ""), digest, specification,
         _json(model, "motorlens.card", where, default="{}"),
         extractor_of(specification), chosen, checker,

@@ -57,7 +57,7 @@ def run_live(arguments: argparse.Namespace) -> int:
             stack.callback(recorder.close)
         swap = None
         if arguments.swap is not None:
-            swap = Swap(arguments.sensor, arguments.backend, arguments.swap)
+            swap = Swap(sensor.path, arguments.backend, arguments.swap)
             swap.start()
             stack.callback(swap.close)
         memory = Memory(arguments.memory, sensor) if arguments.memory else None

@@ -4,7 +4,7 @@ The other methods are fitted to --fit recordings, or else to simulated duty cycl
 second after the first voltage step. With load torque, ambient and temperature recorded, the posterior Cramer-Rao bound
 is computed for noise of --voltage-noise and --current-noise and an unknown start.
 
-example: motorlens evaluate models/sensors/mellah2016.onnx duty.csv --motor models/motors/mellah2016.toml --png errors.png
+example: motorlens evaluate mellah2016 duty.csv --motor mellah2016 --png errors.png
 """
 
 import argparse

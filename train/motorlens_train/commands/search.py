@@ -1,7 +1,7 @@
 """Find out how large the network should be: by evidence, and by duty cycles not trained on.
 
 example:
-  motorlens search --motor models/motors/mellah2016.toml --try 8 12-8 16-12 --restarts 2 -o search
+  motorlens search --motor mellah2016 --try 8 12-8 16-12 --restarts 2 -o search
 
 The folder holds results.jsonl (one line a training; a search that was killed goes on from it), search.json and search.png.
 """

@@ -1,7 +1,7 @@
 """Train a virtual sensor from a motor's physics, from recordings, or from both.
 
 examples:
-  motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
+  motorlens train --motor mellah2016 --seed 1 -o sensor.onnx
   motorlens train --recordings run1.csv run2.csv --column speed=wL_rad_s -o mine.onnx
 
 With --tolerance 10 the sensor is for every motor of the make, not for the one of the file; an observer inside

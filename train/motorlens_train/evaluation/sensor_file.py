@@ -11,6 +11,7 @@ import numpy as np
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError, ModelError
+from motorlens_runtime.files.shipped import sensor_path
 from motorlens_train.baselines.method import OUTPUTS, Estimate, inputs
 from motorlens_train.features import feature_rows
 from motorlens_train.observer.file import Observer
@@ -59,7 +60,7 @@ class SensorFile:
 
 
 def read_sensor(path: Path | str) -> SensorFile:
-    """Open an exported sensor for evaluation.
+    """Open an exported sensor for evaluation, or the shipped one of that name.
 
     Raises:
         ModelError: it is not an ONNX file of the kind that `motorlens train` writes.
@@ -67,7 +68,7 @@ def read_sensor(path: Path | str) -> SensorFile:
     """
     import onnxruntime
 
-    data = Path(path).read_bytes()
+    data = sensor_path(path).read_bytes()
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     try:

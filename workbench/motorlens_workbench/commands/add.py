@@ -12,12 +12,13 @@ import argparse
 import shlex
 from pathlib import Path
 
+from motorlens_physics.command_inputs import add_input_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("effect", metavar="EFFECT", help="name of an effect or sensor fault of the catalogue")
-    parser.add_argument("--motor", required=True, metavar="MOTOR.toml", help="motor file")
+    add_input_arguments(parser)
     parser.add_argument("--fit", nargs="+", required=True, metavar="REC", help="recordings to fit to")
     parser.add_argument(
         "--judge", nargs="+", default=[], metavar="REC", help="recordings to judge by, not fitted to"
@@ -36,22 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--force", action="store_true", help="write the file even if the data do not support it"
     )
     parser.add_argument(
-        "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
-    )
-    parser.add_argument(
         "--driven",
         action="store_true",
         help="impose current and speed as measured and look at the thermal equation alone (the voltage is not the motor's)",
     )
-    parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
     add_json_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from motorlens_physics.effect import load_effects
-    from motorlens_physics.motor_file import read_motor_file, write_motor_file
-    from motorlens_physics.recording import read_recording
+    from motorlens_physics.command_inputs import input_words, inputs_from, print_notes
+    from motorlens_physics.motor_file import write_motor_file
     from motorlens_runtime.errors import DataError
     from motorlens_workbench import ladder as ladders
     from motorlens_workbench.driven import driven, freed
@@ -63,10 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError(
             f"{arguments.output} is the motor file itself, which is kept; give another name with -o"
         )
-    own = load_effects(arguments.effects_from) if arguments.effects_from else {}
-    file = read_motor_file(arguments.motor, own.values())
-    fitted = [read_recording(path, arguments.column) for path in arguments.fit]
-    judge = [read_recording(path, arguments.column) for path in arguments.judge]
+    given = inputs_from(arguments)
+    file, fitted, judge = given.file, given.recordings(arguments.fit), given.recordings(arguments.judge)
     plain = file
     if arguments.driven:
         file, fitted = driven(file, fitted)
@@ -75,9 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.remove:
         found = ladders.remove(file, arguments.effect, fitted, judge, say, arguments.differing)
     else:
-        found = ladders.add(
-            file, arguments.effect, fitted, judge, tuple(own.values()), say, arguments.differing
-        )
+        found = ladders.add(file, arguments.effect, fitted, judge, given.effects, say, arguments.differing)
     written = found.supported or (arguments.force and found.rungs[-1].added == arguments.effect)
     document = to_json(found, arguments.effect, arguments.motor, arguments.output if written else None)
     if written:
@@ -85,16 +77,17 @@ def run(arguments: argparse.Namespace) -> int:
         write_motor_file(freed(better, plain) if arguments.driven else better, arguments.output)
     write_json(document, arguments.json)
     if arguments.html:
-        words = ["motorlens", "add", arguments.effect, "--motor", arguments.motor, "--fit", *arguments.fit]
+        words = ["motorlens", "add", arguments.effect, *input_words(arguments), "--fit", *arguments.fit]
         words += ["--judge", *arguments.judge] if arguments.judge else []
+        words += ["--differing", *arguments.differing] if arguments.differing else []
+        words += ["--driven"] if arguments.driven else []
         words += ["--remove"] if arguments.remove else []
         words += ["--force"] if arguments.force else []
         words += ["-o", arguments.output]
-        words += [word for column in arguments.column for word in ("--column", column)]
-        words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
         overlays = before_and_after(found, fitted)
         write(to_html(document, shlex.join(words), overlays), arguments.html)
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
+        print_notes((*fitted, *judge))
         print(to_text(document))
     return 0 if written else 1

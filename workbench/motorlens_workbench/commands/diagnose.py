@@ -1,7 +1,7 @@
 """Say what is missing from a motor file, given recordings.
 
 example:
-  motorlens diagnose bench1.csv bench2.csv --motor models/motors/mellah2016.toml --html diagnosis.html
+  motorlens diagnose bench1.csv bench2.csv --motor mellah2016 --html diagnosis.html
 
 The base parameters are fitted along; every effect of the catalogue and every sensor fault is tested. The verdict is one of
 named, group (the recordings cannot tell between a few), sensor_fault, unknown (its shape is shown), adequate (nothing above
@@ -11,21 +11,18 @@ the sizes listed) and not_testable. `motorlens add` puts an effect into the moto
 import argparse
 import shlex
 
+from motorlens_physics.command_inputs import add_input_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings, CSV or Parquet")
-    parser.add_argument("--motor", required=True, metavar="MOTOR.toml", help="motor file")
-    parser.add_argument(
-        "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
-    )
+    add_input_arguments(parser)
     parser.add_argument(
         "--driven",
         action="store_true",
         help="impose current and speed as measured and look at the thermal equation alone (the voltage is not the motor's)",
     )
-    parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
     add_json_argument(parser)
 
@@ -33,9 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
-    from motorlens_physics.effect import load_effects
-    from motorlens_physics.motor_file import read_motor_file
-    from motorlens_physics.recording import read_recording
+    from motorlens_physics.command_inputs import input_words, inputs_from, print_notes
     from motorlens_workbench.diagnosis import investigate
     from motorlens_workbench.diagnosis_json import to_json, to_text
     from motorlens_workbench.driven import driven
@@ -43,13 +38,12 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_workbench.telling import teller
     from motorlens_workbench.verdict import settle
 
-    own = load_effects(arguments.effects_from) if arguments.effects_from else {}
-    file = read_motor_file(arguments.motor, own.values())
-    recordings = [read_recording(path, arguments.column) for path in arguments.recordings]
+    given = inputs_from(arguments)
+    file, recordings = given.file, given.recordings(arguments.recordings)
     if arguments.driven:
         file, recordings = driven(file, recordings)
     say = teller("diagnose")
-    found = investigate(file, recordings, tuple(own.values()), say)
+    found = investigate(file, recordings, given.effects, say)
     verdict = settle(found)
     if any(len(group) > 1 for group in verdict.groups):
         say("looking for the test that tells the group apart")
@@ -60,15 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
         from motorlens_workbench.report.diagnosis import to_html
         from motorlens_workbench.report.page import write
 
-        words = ["motorlens", "diagnose", *arguments.recordings, "--motor", arguments.motor]
+        words = ["motorlens", "diagnose", *arguments.recordings, *input_words(arguments)]
         words += ["--driven"] if arguments.driven else []
-        words += [word for column in arguments.column for word in ("--column", column)]
-        words += ["--effects-from", arguments.effects_from] if arguments.effects_from else []
         write(to_html(found, verdict, document, shlex.join(words)), arguments.html)
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
-        for recording in recordings:
-            for note in recording.notes:
-                print(f"{recording.name}: {note}")
+        print_notes(recordings)
         print(to_text(document))
     return 0

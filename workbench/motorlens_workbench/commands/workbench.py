@@ -1,7 +1,7 @@
 """Compare, diagnose, add and compare again, as a page in the browser.
 
 example:
-  motorlens workbench --motor models/motors/mellah2016.toml bench1.csv bench2.csv
+  motorlens workbench --motor mellah2016 bench1.csv bench2.csv
 
 The page opens by itself, for this machine only. It works with the files named here and with those in --folder, and writes
 new motor files there; each step is a command of motorlens, and the page shows it. Ctrl-C ends it.
@@ -32,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from motorlens_runtime.files.shipped import motor_path
     from motorlens_workbench.web.serve import serve
 
+    if arguments.motor:
+        arguments.motor = str(motor_path(arguments.motor))
     return serve(arguments)

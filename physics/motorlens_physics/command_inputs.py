@@ -1,0 +1,94 @@
+"""What the commands are given that hold a motor file against recordings: the same flags, read the same way."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.recording import Recording
+from motorlens_runtime.errors import DataError
+
+
+def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = True) -> None:
+    """Give a command `--motor`, what its recordings mean, and the user's own effects."""
+    parser.add_argument(
+        "--motor",
+        required=motor_required,
+        metavar="MOTOR.toml",
+        help="motor file, or the name of a shipped one: mellah2016",
+    )
+    parser.add_argument(
+        "--column", action="append", default=[], metavar="QUANTITY=NAME",
+        help="which column holds what, or a formula over columns: 'voltage=duty_pct*vbat_V/100'; repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--voltage-commanded", action="store_true",
+        help="the voltage is what was commanded (duty times supply): no sensor, so no error of one is looked for",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-value", action="append", metavar="NUMBER",
+        help="a number that stands for a missing value, as in --no-value=-9999; 'none' looks for none (default: found)",
+    )  # fmt: skip
+    parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
+
+
+@dataclass(frozen=True)
+class CommandInputs:
+    """The motor file, the user's own effects, and how recordings are read."""
+
+    file: MotorFile
+    effects: tuple[type[Effect], ...]
+    columns: tuple[str, ...]
+    no_values: tuple[float, ...] | None
+
+    def recordings(self, paths: Sequence[str]) -> list[Recording]:
+        """Read recordings. Raises DataError and OSError, see `recording.read_recording`."""
+        from motorlens_physics.recording import read_recording
+
+        return [read_recording(path, self.columns, self.no_values) for path in paths]
+
+
+def inputs_from(arguments: argparse.Namespace, file: MotorFile | None = None) -> CommandInputs:
+    """What the flags of `add_input_arguments` name; `file` in place of that of `--motor`.
+
+    Raises:
+        DataError, ModelError, OSError: a file is not there or not usable, or a flag is not understood.
+    """
+    from motorlens_physics.effect import load_effects
+    from motorlens_physics.motor_file import read_motor_file, voltage_commanded
+
+    own = tuple(load_effects(arguments.effects_from).values()) if arguments.effects_from else ()
+    file = file or read_motor_file(arguments.motor, own)
+    if arguments.voltage_commanded:
+        file = voltage_commanded(file)
+    return CommandInputs(file, own, tuple(arguments.column), _no_values(arguments.no_value))
+
+
+def input_words(arguments: argparse.Namespace) -> list[str]:
+    """The flags as they were typed, for the line that repeats a command."""
+    words = ["--motor", arguments.motor]
+    words += [word for column in arguments.column for word in ("--column", column)]
+    words += ["--voltage-commanded"] if arguments.voltage_commanded else []
+    words += [f"--no-value={number}" for number in arguments.no_value or ()]
+    return words + (["--effects-from", arguments.effects_from] if arguments.effects_from else [])
+
+
+def print_notes(recordings: Sequence[Recording]) -> None:
+    """What was found while reading, one line each."""
+    for recording in recordings:
+        for note in recording.notes:
+            print(f"{recording.name}: {note}")
+
+
+def _no_values(texts: Sequence[str] | None) -> tuple[float, ...] | None:
+    if texts is None:
+        return None
+    if list(texts) == ["none"]:
+        return ()
+    try:
+        return tuple(float(text) for text in texts)
+    except ValueError:
+        raise DataError(
+            f"--no-value {' '.join(texts)}: write a number, as in --no-value=-9999, or none"
+        ) from None
