@@ -5,6 +5,7 @@ Files are read by `motorlens_physics.reading`; columns are recognised, computed 
 what can be concluded.
 """
 
+import shlex
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,12 +21,11 @@ from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import (
     QUANTITIES,
     Column,
+    candidates,
     canonical_name,
-    conversion,
     parse_mapping,
     require,
     understand,
-    unit_text,
 )
 
 Array = NDArray[np.float64]
@@ -139,10 +139,10 @@ def _about_columns(headings: Sequence[str], columns: Mapping[str, Column]) -> li
     if spare:
         notes.append(f"not used: {', '.join(spare)}")
     for quantity in ("current", "speed", "temperature", "angle"):
-        unit = QUANTITIES[quantity][0]
-        like = [h for h in spare if (text := unit_text(h)) and conversion(unit, text) is not None]
+        like = candidates(quantity, spare)
         if like and quantity not in columns:
-            notes.append(f"no {quantity}; it may be {' or '.join(like)}: --column {quantity}={like[0]}")
+            choice = shlex.quote(f"{quantity}={like[0]}")
+            notes.append(f"no {quantity}; it may be {' or '.join(like)}: --column {choice}")
     return notes
 
 

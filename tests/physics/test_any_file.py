@@ -252,7 +252,7 @@ BAD = {
     "missing_voltage": (SAID, "rows without a value of voltage left out"), "ms": (SAME, ""),
     "ms_wrong": (NO, "--column time_ms=time"), "nan_words": (SAME, "missing values"),
     "noheader": (NO, "no heading line"), "rest": (SAID, "speed never changes"),
-    "revsign": (SAID, "is the current reversed?"), "semicolon_comma": (SAME, ""), "semicolon_dot": (SAME, ""),
+    "revsign": (SAID, "is the current reversed"), "semicolon_comma": (SAME, ""), "semicolon_dot": (SAME, ""),
     "sentinel": (SAME, "current is exactly -1"), "sentinel9999": (SAME, "current is exactly -9999"),
     "short": (SAID, ""), "short60": (SAID, ""), "swapped": (SAID, "voltage and current swapped?"), "tab": (SAME, ""),
     "trunc": (SAID, "cut short"), "units_row": (SAME, ""), "us_t": (SAID, ""), "utf16": (SAME, ""),

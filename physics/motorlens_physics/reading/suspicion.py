@@ -14,6 +14,8 @@ _TIMES, _LONGEST, _FAR = 3, 10, 5.0
 _WHOLE = 32
 # So much of the voltage is explained by current and speed where their signs can be judged, and so many deviations.
 _EXPLAINED, _SURE = 0.5, 5.0
+# So many rows show a sign.
+_ROWS = 50_000
 
 
 def no_value(y: Array, voltage: Array | None) -> float | None:
@@ -24,27 +26,35 @@ def no_value(y: Array, voltage: Array | None) -> float | None:
         voltage: (N,) what drove the motor; where it jumps as well, the channel had reason to. None for the voltage itself,
             which may be given in pulses: of it only what is far out of all others is a word.
     """
-    y = y[np.isfinite(y)] if voltage is None else y
-    starts = np.flatnonzero(np.r_[True, y[1:] != y[:-1]])
-    if len(starts) < 2 * _TIMES + 1:
+    starts = np.flatnonzero(np.r_[True, y[1:] != y[:-1]])  # of runs of equal numbers
+    inner = starts[1:-1]
+    at = 1 + np.flatnonzero(y[inner] == np.round(y[inner]))  # the runs of whole numbers
+    if len(at) < _TIMES:
         return None
-    value, ends = y[starts], np.r_[starts[1:], len(y)]
-    between = slice(1, -1)
-    jump = np.minimum(np.abs(value[between] - value[:-2]), np.abs(value[between] - value[2:]))
-    back = np.abs(value[2:] - value[:-2])
-    alone = (jump > _FAR * back) & (ends - starts <= _LONGEST)[between]
-    alone &= value[between] == np.round(value[between])
-    usual = 3 * float(np.nanmedian(np.abs(np.diff(value))))
-    near = np.zeros(len(alone), dtype=bool)
-    if voltage is not None:
-        first, last = starts[between], ends[between]
-        inside = np.abs(voltage[first] - (voltage[first - 1] + voltage[last]) / 2)
-        near = alone & (jump > _FAR * usual) & (inside <= 0.1 * np.ptp(voltage))
-    for word in np.unique(value[between][alone]):
-        others = np.abs(y[np.isfinite(y) & (y != word)])
-        far = others.any() and abs(word) > 10 * others.max()
-        times = int(np.sum((alone if far else near) & (value[between] == word)))
-        if times >= max(_TIMES, 0.5 * np.sum(value == word)):
+    value, before, after = y[starts[at]], y[starts[at - 1]], y[starts[at + 1]]
+    jump = np.minimum(np.abs(value - before), np.abs(value - after))
+    alone = (jump > _FAR * np.abs(after - before)) & (starts[at + 1] - starts[at] <= _LONGEST)
+    if voltage is None:
+        near = np.zeros(len(at), dtype=bool)
+    else:
+        usual = 3 * float(np.nanmedian(np.abs(np.diff(y[starts]))))
+        driven = np.abs(voltage[starts[at]] - (voltage[starts[at] - 1] + voltage[starts[at + 1]]) / 2)
+        near = alone & (jump > _FAR * usual) & (driven <= 0.1 * np.ptp(voltage))
+    words, times = np.unique(value[alone], return_counts=True)
+    words = words[times >= _TIMES]
+    if not len(words):
+        return None
+    largest = words[np.argmax(np.abs(words))]
+    others = np.nanmax(np.abs(y), where=np.isfinite(y) & (y != largest), initial=0.0)
+    if (
+        others > 0
+        and abs(largest) > 10 * others
+        and 2 * np.sum(value[alone] == largest) >= np.sum(value == largest)
+    ):
+        return float(largest)
+    words, times = np.unique(value[near], return_counts=True)
+    for word, count in zip(words, times, strict=True):
+        if count >= max(_TIMES, 0.5 * np.sum(value == word)):
             return float(word)
     return None
 
@@ -86,20 +96,23 @@ def signs(channels: Mapping[str, Array]) -> list[str]:
     """Whether the voltage falls with current or speed, which it does at no motor (v = R i + ke w, R and ke above 0)."""
     if not {"voltage", "current", "speed"} <= set(channels):
         return []
-    table = np.column_stack([channels[q] for q in ("voltage", "current", "speed")])
+    every = 1 + len(channels["voltage"]) // _ROWS
+    table = np.column_stack([channels[q][::every] for q in ("voltage", "current", "speed")])
     table = table[np.isfinite(table).all(axis=1)]
     if len(table) < 10 or not np.ptp(table, axis=0).all():
         return []
     v, columns = table[:, 0], table[:, 1:] / np.ptp(table[:, 1:], axis=0)
     slopes, _, rank, _ = np.linalg.lstsq(columns, v, rcond=None)
     rest = v - columns @ slopes
-    if rank < 2 or rest @ rest > (1 - _EXPLAINED) * (v @ v):
+    # Of its changes, not of its size: a supply that sags under load is no motor's voltage.
+    if rank < 2 or rest @ rest > (1 - _EXPLAINED) * np.sum((v - v.mean()) ** 2):
         return []
     # Residuals hang together; a tenth of the samples count.
     sd = np.sqrt(10 * (rest @ rest) / len(v) * np.diag(np.linalg.inv(columns.T @ columns)))
     if slopes[0] < -_SURE * sd[0]:
         return [
-            "the voltage falls with the current at equal speed: is the current reversed? --column 'current=-NAME'"
+            "the voltage falls with the current at equal speed: is the current reversed (--column 'current=-NAME'), or is "
+            "this the voltage of a supply, before the bridge?"
         ]
     if slopes[1] < -_SURE * sd[1]:
         return [

@@ -32,13 +32,12 @@ def read(path: Path) -> Table:
     at = 0
     for _ in range(layout.first_row - 1):
         at = raw.find(b"\n", at) + 1 or len(raw)
-    body = raw[at:]
-    if layout.separator == " ":
-        body = layout.plain(body)
+    # A large file is not held twice.
+    body = memoryview(layout.plain(raw[at:])) if layout.separator == " " else memoryview(raw)[at:]
     notes: list[str] = []
 
     def numbers(used: Sequence[int]) -> Mapping[int, Array]:
-        if not body.strip():
+        if not (bytes(body[:HEAD_BYTES]).strip() or bytes(body).strip()):
             raise DataError(f"{path}: 0 rows of data; a recording needs at least two")
         fast = _by_arrow(body, layout, used, notes)
         return fast if fast is not None else _by_cell(body, layout, used, path, notes)
@@ -47,7 +46,7 @@ def read(path: Path) -> Table:
 
 
 def _by_arrow(
-    body: bytes, layout: Layout, used: Sequence[int], notes: list[str]
+    body: memoryview, layout: Layout, used: Sequence[int], notes: list[str]
 ) -> Mapping[int, Array] | None:
     """The columns asked for where every cell of them is a number or missing; None where some are not."""
     try:
@@ -77,7 +76,7 @@ def _by_arrow(
         )
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
         return None
-    last = body.rstrip().rpartition(b"\n")[2].decode(errors="replace").strip()
+    last = bytes(body[-HEAD_BYTES:]).rstrip().rpartition(b"\n")[2].decode(errors="replace").strip()
     comments = [row for row in short if is_comment(row.text)]
     cut = [row for row in short if row.text.strip() == last and row not in comments]
     if len(comments) + len(cut) < len(short):
@@ -92,11 +91,11 @@ def _by_arrow(
 
 
 def _by_cell(
-    body: bytes, layout: Layout, used: Sequence[int], path: Path, notes: list[str]
+    body: memoryview, layout: Layout, used: Sequence[int], path: Path, notes: list[str]
 ) -> Mapping[int, Array]:
     """Line by line: slower, and says exactly which cell is at fault. A date and time becomes seconds since the first."""
     table: dict[int, list[float]] = {k: [] for k in used}
-    lines = body.decode("utf-8", errors="replace").splitlines()
+    lines = bytes(body).decode("utf-8", errors="replace").splitlines()
     origin: dict[int, datetime] = {}
     comments = 0
     while lines and not lines[-1].strip():

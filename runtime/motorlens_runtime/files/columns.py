@@ -7,6 +7,7 @@ Temperatures stay in degrees Celsius, as every test bench writes them; everythin
 
 import difflib
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -153,7 +154,11 @@ def require(
     """Refuse a recording that lacks one of `quantities`, saying which columns it has and how to map one."""
     for quantity in quantities:
         if quantity not in found:
-            cure = f"map one with --column {quantity}=NAME"
+            like = candidates(quantity, headings)
+            name = headings[0] if headings and headings[0] == "#1" else "NAME"
+            cure = f"map one with --column {quantity}={name}"
+            if like:
+                cure = f"it may be {' or '.join(like)}: --column {shlex.quote(f'{quantity}={like[0]}')}"
             duty = next((h for h in headings if _DUTY.search(h)), None)
             supply = next((h for h in headings if _SUPPLY.search(h)), None)
             if quantity == "voltage" and duty and supply:
@@ -163,6 +168,12 @@ def require(
             raise DataError(
                 f"{where}: no {quantity} column ({canonical_name(quantity)}); it has {', '.join(headings)}; {cure}"
             )
+
+
+def candidates(quantity: str, headings: Sequence[str]) -> list[str]:
+    """The headings whose unit is one of the quantity's."""
+    unit = QUANTITIES[quantity][0]
+    return [h for h in headings if (text := unit_text(h)) and conversion(unit, text) is not None]
 
 
 def parse_mapping(arguments: Sequence[str]) -> dict[str, str]:
