@@ -3,7 +3,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: install demo test check bench hil sensor clean
+# Tests share out the cores: a process each, one thread in each.
+PYTEST := $(BIN)/python -m pytest --numprocesses logical --dist worksteal
+
+.PHONY: install demo quick test check bench hil sensor clean
 
 install: .venv/everything
 
@@ -21,15 +24,19 @@ install: .venv/everything
 demo: .venv/demo
 	$(BIN)/python examples/live_demo.py
 
+# What to run on every change: a minute of what needs no simulation, fit or training.
+quick: .venv/everything
+	$(PYTEST) -m "not fit and not blind"
+
 test: .venv/everything
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 check: .venv/everything
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+	$(PYTEST)
 	@echo "All good."
 
 # The long studies. `make bench BENCH=--quick` is the short form of each.

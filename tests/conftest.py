@@ -1,4 +1,8 @@
-"""What holds for every test: one thread a worker, numba's files of its own, and no process that outlives its test."""
+"""What holds for every test: one thread a worker, numba's files of its own, no process that outlives its test, its tier.
+
+Tiers, by what a test costs: no mark, up to half a second of a processor; `fit`; `blind` (see CONTRIBUTING.md). What a test
+without a mark has used is measured, and those that belong elsewhere are listed at the end of a run.
+"""
 
 import ctypes
 import os
@@ -17,6 +21,10 @@ for _name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "M
 _LASTING = ("multiprocessing.resource_tracker", "multiprocessing.forkserver")
 # A program that has been told to end may need a moment on a busy machine.
 _GRACE_S = 10.0
+_TIERS = {"fit", "blind"}
+# A test of the quick tier uses half a second; a first compilation or import may fall on anyone.
+_QUICK_S = 2.0
+_costly: dict[str, float] = {}
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -28,6 +36,38 @@ def pytest_configure(config: pytest.Config) -> None:
     if sys.platform == "linux":
         # Whoever loses its parent becomes a child of ours, so that nothing escapes `no_process_outlives_its_test`.
         ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Note what a test itself has used, programs it has waited for included; its fixtures may serve others too."""
+    before = _processor_s()
+    yield
+    item.user_properties.append(("processor_s", _processor_s() - before))
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    used_s = dict(report.user_properties).get("processor_s", 0.0)
+    if (
+        report.when == "call"
+        and isinstance(used_s, float)
+        and used_s > _QUICK_S
+        and not _TIERS & set(report.keywords)
+    ):
+        _costly[report.nodeid] = used_s
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if _costly:
+        terminalreporter.section(f"above {_QUICK_S} s of a processor: make them cheaper, or mark them fit")
+        for name, used_s in sorted(_costly.items(), key=lambda pair: -pair[1]):
+            terminalreporter.write_line(f"{used_s:6.1f} s  {name}")
+
+
+def _processor_s() -> float:
+    """Seconds of a processor that this process and the programs it has waited for have used."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 @pytest.fixture(autouse=True)

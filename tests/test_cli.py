@@ -54,6 +54,7 @@ def test_the_overview_names_every_command_without_loading_what_is_heavy() -> Non
     assert all(command in done.stdout for command in COMMANDS)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [

@@ -16,6 +16,7 @@ MODULES = [
 ]
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("name", MODULES)
 def test_examples(name: str) -> None:
     result = doctest.testmod(importlib.import_module(name.removesuffix(".__init__")))

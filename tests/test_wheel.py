@@ -43,7 +43,7 @@ def wheel(tmp_path_factory):
     return built
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_path, wheel):
     """What the README promises after `pip install`, with the packages it needs borrowed from here."""
     venv.create(tmp_path / "clean", with_pip=False)
@@ -90,7 +90,7 @@ def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_
         process.wait(timeout=30)
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path, wheel):
     write_inputs(tmp_path)
     venv.create(tmp_path / "clean", with_pip=True)

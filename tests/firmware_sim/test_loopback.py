@@ -39,6 +39,7 @@ def sensor(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.fit
 def test_every_sample_is_accounted_for_and_live_equals_infer(tmp_path: Path, sensor: Path) -> None:
     samples, live, replayed = tmp_path / "samples.csv", tmp_path / "live.csv", tmp_path / "replayed.csv"
     setup = ["--duration", "20", "--rate", "1000", "--seed", "3"]
@@ -79,6 +80,7 @@ def test_every_sample_is_accounted_for_and_live_equals_infer(tmp_path: Path, sen
     assert np.std(error) == pytest.approx(np.hypot(0.24, bench.drive.voltage.step / 12**0.5), rel=0.05)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_both_sides_in_order(tmp_path: Path, sensor: Path, end: signal.Signals) -> None:
     live = tmp_path / "live.jsonl"
@@ -98,6 +100,7 @@ def test_a_signal_ends_both_sides_in_order(tmp_path: Path, sensor: Path, end: si
     assert not os.path.lexists(tmp_path / "port")
 
 
+@pytest.mark.fit
 def test_a_port_that_is_not_there_or_taken_gets_one_line(tmp_path: Path, sensor: Path) -> None:
     done = ran([*MOTORLENS, "run", "--source", "/dev/pts/99999", "--sensor", sensor, "--reconnect", "0"])
     assert done.returncode == 1

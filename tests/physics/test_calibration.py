@@ -71,6 +71,7 @@ def fleet() -> list[tuple[Calibration, MotorFile]]:
     return found
 
 
+@pytest.mark.fit
 def test_ten_parameters_are_recovered_within_their_deviations(
     fleet: list[tuple[Calibration, MotorFile]],
 ) -> None:
@@ -101,6 +102,7 @@ def test_the_file_says_what_was_found(fleet: list[tuple[Calibration, MotorFile]]
     assert again.knowledge["ke"] == found.file.knowledge["ke"]
 
 
+@pytest.mark.fit
 def test_the_data_may_come_from_another_integrator() -> None:
     rng = np.random.default_rng(11)
     truth = Motor(R_a0=4.1, ke=0.85, J=0.025)
@@ -196,6 +198,7 @@ def test_outliers_hardly_matter() -> None:
     assert found.value["ke"] == pytest.approx(0.85, rel=1e-3)
 
 
+@pytest.mark.fit
 def test_coloured_residuals_are_whitened() -> None:
     rng = np.random.default_rng(17)
     off, sharper = [], []
@@ -219,6 +222,7 @@ def test_coloured_residuals_are_whitened() -> None:
     assert 0.1 < np.mean(sharper) < 0.9
 
 
+@pytest.mark.fit
 def test_a_run_that_drifts_is_cut_into_windows() -> None:
     # A slow random torque that nobody measured carries the free run away; windows tied at their ends follow it.
     rng = np.random.default_rng(18)

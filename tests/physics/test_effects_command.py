@@ -43,6 +43,7 @@ def test_one_in_full(name, capsys):
         assert re.search(rf"^  {parameter} ", out, re.MULTILINE)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("suffix, start", [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
 def test_draws(suffix, start, tmp_path):
     path = tmp_path / f"term.{suffix}"

@@ -96,6 +96,7 @@ def test_at_null_it_shows_the_truth_to_the_last_bit(name):
             np.testing.assert_array_equal(shown, TRUE)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("name", FAULTS)
 def test_typical_faults_show_and_do_not_drown(name):
     for rated in PLATES:

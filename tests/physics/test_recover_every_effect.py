@@ -66,6 +66,7 @@ def test_by_least_squares_on_the_simulation(name):
     assert 0.9 < np.mean(fit.fun**2) < 1.1, "what is left is not noise"
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     "name",
     ["brush_voltage_drop", "magnet_temperature", "coulomb_friction", "unbalance_torque", "two_node_thermal"],

@@ -112,6 +112,7 @@ def candidates() -> tuple[Inputs, dict[str, dict[str, np.ndarray]]]:
     return inputs, responses
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("name", NULLS)
 def test_every_candidate_at_its_null_agrees_with_a_difference(
     name: str, candidates: tuple[Inputs, dict[str, dict[str, np.ndarray]]]
@@ -145,6 +146,7 @@ def test_candidates_leave_the_motor_as_it_is() -> None:
         np.testing.assert_allclose(run.states[name], alone.states[name], rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("motor", [Motor(), Motor(effects=(QuadraticDrag(c=1e-5),))], ids=["plain", "drag"])
 @pytest.mark.parametrize("held", [True, False], ids=["held", "linear"])
 def test_forcings_respond_as_small_changes_of_the_inputs(motor: Motor, held: bool) -> None:

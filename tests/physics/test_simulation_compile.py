@@ -66,6 +66,7 @@ def test_machine_code_of_a_structure_is_kept(fresh: Path) -> None:
     assert not list(fresh.glob("*.tmp"))
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("effects", [(), tuple(catalogue().values())])
 def test_machine_code_does_what_its_source_says_in_python(
     effects: tuple[type[Effect], ...], tmp_path: Path
@@ -134,6 +135,7 @@ def test_neither_values_nor_the_order_of_effects_make_another_structure() -> Non
     assert one[0].keys[-3:] == ("coulomb_friction.tau_c", "coulomb_friction.w_s", "quadratic_drag.c")
 
 
+@pytest.mark.fit
 def test_sources_do_not_depend_on_the_process() -> None:
     motor = Motor(effects=tuple(effect() for effect in catalogue().values()))
     assert compiling.source(trace(motor)) == compiling.source(trace(motor))

@@ -33,6 +33,7 @@ def test_recursion_in_long_double(kind):
     assert np.abs(filtered.T - expected).max() < 1e-14
 
 
+@pytest.mark.fit
 @settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from(["uniform", "gaps", "irregular"]),
@@ -73,7 +74,7 @@ def test_thousand_steps_are_one_long_step():
     assert np.abs(many[:, -1] / one[:, 0] - 1).max() < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 def test_a_day_at_a_kilohertz_ends_where_the_closed_form_says():
     """Thermal state after 24 h of a square wave of one hour, 8.64e7 samples; float32 would be per cents off."""
     bank, step = FilterBank(["current_squared"] * 2, [900.0, 100.0]), 1e-3

@@ -61,7 +61,7 @@ def bundled(tmp_path_factory):
     return target, json.loads((folder / "b.json").read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 def test_installs_and_runs_without_a_network(bundled, tmp_path):
     target, _ = bundled
     offline = OFFLINE if run(*OFFLINE, "true").returncode == 0 else []
@@ -102,6 +102,7 @@ def test_installs_and_runs_without_a_network(bundled, tmp_path):
     assert not prefix.exists()
 
 
+@pytest.mark.fit
 def test_a_damaged_copy_and_a_wrong_machine_are_refused(bundled, tmp_path):
     target, _ = bundled
     copy = tmp_path / "copy"
@@ -167,6 +168,7 @@ def test_scripts_are_plain_shell_and_leave_no_word_unfilled(bundled):
     assert 'MOTORLENS_OPTIONS="--publish mqtt://127.0.0.1:1883?device=press-7 --rate=10"' in settings
 
 
+@pytest.mark.fit
 def test_another_machine_gets_its_own_wheels(bundled, tmp_path):
     """A drive PC of the other processor: every wheel with machine code is for it."""
     write_sensor(tmp_path / "s.onnx")
@@ -202,6 +204,7 @@ def test_what_an_ordinary_installation_packs_is_the_same_wheel(bundled, tmp_path
     assert {line.split(",")[0] for line in listed} == names
 
 
+@pytest.mark.fit
 def test_what_cannot_be_bundled_is_said_in_a_line(tmp_path, capsys):
     write_sensor(tmp_path / "s.onnx")
     (tmp_path / "full").mkdir()

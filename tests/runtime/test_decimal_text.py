@@ -1,6 +1,7 @@
 """Block-wise reading and writing of numbers, against Python's own `float` and `%.9g`."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +24,7 @@ plain = st.builds(
 )  # fmt: skip
 
 
+@pytest.mark.fit
 @given(st.lists(plain, min_size=1, max_size=50))
 def test_plain_numbers_are_read_as_float_reads_them(cells):
     expected = np.array([float(cell) for cell in cells])
@@ -43,6 +45,7 @@ def test_what_is_not_plain_is_handed_back_or_read_right(cells):
         assert values.tolist() == [float(cell) for cell in cells]
 
 
+@pytest.mark.fit
 @settings(max_examples=300)
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=40))
 def test_nine_digits_of_any_float(values):
@@ -50,6 +53,7 @@ def test_nine_digits_of_any_float(values):
     assert [text_of(row) for row in rows] == ["%.9g" % value for value in values]  # noqa: UP031
 
 
+@pytest.mark.fit
 def test_nine_digits_of_very_many():
     rng = np.random.default_rng(0)
     sizes = 10.0 ** rng.uniform(-15, 11, 200_000) * rng.choice([-1, 1], 200_000)

@@ -429,6 +429,7 @@ pieces = st.one_of(
 )
 
 
+@pytest.mark.fit
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(pieces, st.integers(0, 2 * S)), max_size=12))
 def test_no_dialect_raises_runs_backwards_or_grows_on_any_bytes(folder, chunks):
@@ -448,6 +449,7 @@ def test_no_dialect_raises_runs_backwards_or_grows_on_any_bytes(folder, chunks):
         assert dialect.bytes_seen == sum(len(data) for data, _ in chunks)
 
 
+@pytest.mark.fit
 @settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_how_bytes_are_cut_changes_no_sample(data):
@@ -482,6 +484,7 @@ def test_unknown_dialects_and_options_are_named():
 # Stamps
 
 
+@pytest.mark.fit
 def test_a_drifting_device_is_followed_without_steps():
     """A clock 0.4 % slow, arrival jittering by 2 ms: after an hour the stamps are right, and no period is 2 % off."""
     rng = np.random.default_rng(1)

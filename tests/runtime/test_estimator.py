@@ -58,6 +58,7 @@ def damaged(samples, rng):
     return result
 
 
+@pytest.mark.fit
 @settings(max_examples=50, deadline=None)
 @given(
     st.lists(st.integers(0, 500), max_size=40), st.booleans(), st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.5])
@@ -221,6 +222,7 @@ def test_quality_in_the_words_of_others():
         assert opc_ua(bit).name.startswith(severity[opc_ua(bit) >> 30]) and opc_ua(bit) != OpcUa.GOOD
 
 
+@pytest.mark.fit
 @settings(max_examples=25, deadline=None)
 @given(
     st.integers(0, 2**32 - 1), st.integers(1, 64), st.sampled_from([1_000_000, 40_000]), st.floats(50.0, 400.0),

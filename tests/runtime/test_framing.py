@@ -135,6 +135,7 @@ def test_crc_of_rows_is_that_of_zlib(rows, length, seed):
     assert crc32_rows(values).tolist() == [zlib.crc32(row.tobytes()) for row in values]
 
 
+@pytest.mark.fit
 def test_faults_on_the_line_let_nothing_wrong_through():
     """Bit errors, bursts, lost, added, swapped and repeated bytes on 20 000 frames: all that passes was sent."""
     rng = np.random.default_rng(1)

@@ -34,6 +34,7 @@ def troubled(rng, n, period_ns):
     return Samples(time_ns, voltage, current, None, flags if rng.random() < 0.5 else None)
 
 
+@pytest.mark.fit
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1 / 3000, 0.04]))
 def test_one_by_one_and_as_arrays(specification, seed, period_s):

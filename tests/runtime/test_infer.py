@@ -178,6 +178,7 @@ def test_damaged_gzip(here, capsys):
     assert "damaged or cut short" in capsys.readouterr().err
 
 
+@pytest.mark.fit
 def test_a_large_file_gives_the_bits_of_its_pieces(here):
     """Read ahead by pyarrow where that is installed, written behind: the text is that of the plain way."""
     rng = np.random.default_rng(0)
@@ -196,6 +197,7 @@ def test_a_large_file_gives_the_bits_of_its_pieces(here):
     assert large.startswith((here / "out.csv").read_bytes()) and large.count(b"\n") == 250_001
 
 
+@pytest.mark.fit
 def test_what_is_wrong_far_into_a_large_file_is_said(here, capsys):
     rows = [f"{k / 1000},100.123456789012,8.123456789012\n" for k in range(200_000)]
     rows[150_000] = "150.0,oops,8\n"
@@ -204,6 +206,7 @@ def test_what_is_wrong_far_into_a_large_file_is_said(here, capsys):
     assert "row 150002, column 'voltage_V': 'oops' is not a number" in capsys.readouterr().err
 
 
+@pytest.mark.fit
 def test_memory_does_not_grow_with_the_file(here):
     """Peak memory of a fresh process on a file and on one three times as long, both read ahead."""
     body = (here / "b.txt").with_suffix(".txt")

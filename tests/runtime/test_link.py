@@ -76,6 +76,7 @@ def values(codes):
     return 0.1 * codes[:, 0] + 0.5, 0.02 * codes[:, 1]
 
 
+@pytest.mark.fit
 @settings(deadline=None, max_examples=60)
 @given(
     st.sampled_from([(1000, 1), (20_000, 1), (3000, 1), (15_000, 1), (999, 7), (10_000_000, 10_007)]),
@@ -106,6 +107,7 @@ def test_the_clock_that_wraps_goes_on():
     assert (np.diff(samples.time_ns) == 1_000_000).all() and link.counters.restarts == 0
 
 
+@pytest.mark.fit
 @settings(deadline=None)
 @given(st.sets(st.integers(0, 99), max_size=40), st.lists(st.integers(0, 8000), max_size=15))
 def test_what_is_lost_is_counted_and_what_comes_has_its_own_time(lost, cuts):
@@ -214,6 +216,7 @@ def test_float_channels_and_ambient():
     assert samples.ambient_C[0] == pytest.approx(100.0)
 
 
+@pytest.mark.fit
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.lists(st.binary(max_size=100), max_size=20))
 def test_whatever_comes_time_never_runs_backwards(seed, garbage):

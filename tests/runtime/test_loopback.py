@@ -4,6 +4,8 @@ import contextlib
 import http.client
 import os
 import socket
+import subprocess
+import textwrap
 import threading
 import time
 from pathlib import Path
@@ -14,7 +16,8 @@ from helpers.processes import LIMIT_S, eventually
 from motorlens_runtime.errors import DeviceError
 from motorlens_runtime.web import connections, style
 from motorlens_runtime.web.connections import MOST_SERVED
-from motorlens_runtime.web.loopback import MOST_OCTETS, Answer, LoopbackServer, _user_of
+from motorlens_runtime.web.loopback import MOST_OCTETS, Answer, LoopbackServer
+from motorlens_runtime.web.peer import user_of
 
 
 @pytest.fixture
@@ -77,14 +80,31 @@ def test_what_a_command_line_shows_opens_once(server):
     assert ask(server, path)[0] == 403
 
 
-def test_another_users_program_is_refused_whatever_it_knows(server, monkeypatch):
+def test_the_kernel_tells_whose_program_has_connected():
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        with socket.create_connection(listening.getsockname()) as there:
+            here, _ = listening.accept()
+            assert user_of(here) in (None, os.getuid())
+            there.close()
+            eventually(lambda: user_of(here) is None, "the other end to be gone")
+            here.close()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can start a program of another user")
+def test_another_users_program_is_refused_whatever_it_knows(server):
     assert ask(server, **bearer(server))[0] == 200
-    mine = os.getuid()
-    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
-    # The kernel says that the program at the other end runs as `mine`; root may do anything anyway.
-    assert ask(server, **bearer(server))[0] == (200 if mine == 0 else 403)
-    with socket.create_connection(("127.0.0.1", server.port)) as line:
-        assert _user_of(line) in (None, mine)
+    asks = f"""
+        import http.client
+        line = http.client.HTTPConnection("127.0.0.1", {server.port}, timeout={LIMIT_S})
+        line.request("GET", "/", headers={bearer(server)!r})
+        print(line.getresponse().status)
+    """
+    command = ["python3", "-I", "-c", textwrap.dedent(asks)]
+    nobody = 65534
+    done = subprocess.run(
+        command, user=nobody, cwd="/", capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.stdout == "403\n", done.stderr
 
 
 def test_a_thousand_requests_beside_half_open_connections_are_all_answered():

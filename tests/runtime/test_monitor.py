@@ -242,6 +242,7 @@ def test_a_key_that_stays_is_in_a_file_of_its_user_and_on_no_command_line(tmp_pa
 # A run of its own
 
 
+@pytest.mark.fit
 def test_a_run_shows_what_its_other_publishers_write(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_sensor("s.onnx")

@@ -71,6 +71,7 @@ def run(sensor, samples, edges=()):
     )
 
 
+@pytest.mark.fit
 def test_outputs_are_those_of_the_trainer(trained):
     samples, n = start_up(3000), 3000
     ours = Observer(json.loads(json.dumps(trained.document())))
@@ -85,6 +86,7 @@ def test_outputs_are_those_of_the_trainer(trained):
     assert np.ptp(expected[:, 0]) > 10  # it estimates a speed that moves
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("pause_s", [1.0, 60.0, 3600.0, 86400.0])
 def test_a_pause_of_any_length_leaves_an_observer_that_works(trained, pause_s):
     """Off for a while: the winding cools towards the surroundings, and the next start is followed again."""

@@ -60,6 +60,7 @@ def published(publisher, rows):
     publisher._writing.result(10)
 
 
+@pytest.mark.fit
 def test_values_units_status_and_nothing_before_the_first_row(publisher):
     before = read(publisher, "speed_rad_s")[0]
     assert before.StatusCode.value == ua.StatusCodes.BadWaitingForInitialData
@@ -118,6 +119,7 @@ def test_rows_that_come_faster_than_they_are_written_are_counted(publisher):
     assert publisher.dropped - before == 49
 
 
+@pytest.mark.fit
 def test_a_port_that_is_taken_and_options_that_are_not_known(publisher):
     port = publisher.endpoint.rpartition(":")[2].partition("/")[0]
     with pytest.raises(DeviceError, match="cannot listen there"):

@@ -83,6 +83,7 @@ def test_one_writer_at_a_time(tmp_path):
         opened(tmp_path / "log", rows=0)
 
 
+@pytest.mark.fit
 def test_a_journal_cut_or_damaged_anywhere_gives_its_whole_rows(tmp_path):
     folder = tmp_path / "log"
     publisher = opened(folder, rows=1000)
@@ -112,6 +113,7 @@ def test_a_journal_cut_or_damaged_anywhere_gives_its_whole_rows(tmp_path):
         assert numbers(target) == list(range((at - head) // size))
 
 
+@pytest.mark.fit
 def test_killed_at_random_every_part_is_readable_and_nothing_flushed_is_missing(tmp_path):
     folder = tmp_path / "log"
     script = f"""

@@ -434,6 +434,7 @@ def test_shared_memory_is_one_writers_and_is_taken_over_from_a_dead_one(tmp_path
         Reader(path)
 
 
+@pytest.mark.fit
 def test_shared_memory_reader_never_sees_half_a_row(tmp_path):
     """A writer that runs free while another process reads: every row read is one that was written."""
     path = tmp_path / "ring"

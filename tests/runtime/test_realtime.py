@@ -71,6 +71,7 @@ class Refusing:
         return 0
 
 
+@pytest.mark.fit
 def test_garbage_is_collected_between_blocks_every_ten_seconds():
     now, runs = [0], []
 
@@ -90,6 +91,7 @@ def test_garbage_is_collected_between_blocks_every_ten_seconds():
     assert runs.count("start") == 2
 
 
+@pytest.mark.fit
 def test_the_estimates_are_the_same(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_sensor(tmp_path / "s.onnx")

@@ -51,6 +51,7 @@ def estimates(path):
     return [(row, quality & ~Quality.OVERLOAD) for row, quality in fresh]
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(("rate_Hz", "n"), [(1000, 1), (10_000, 10), (20_000, 20)])
 def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(here, monkeypatch, rate_Hz, n):
     # On a busy machine the device itself may take much longer than real time.
@@ -94,6 +95,7 @@ def test_publishing_at_a_rate_gives_rows_of_the_full_output(here):
     assert live == [replay[0], *replay[1::20]]
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_it_cleanly_with_a_summary(here, number):
     command = ["--sensor", "s.onnx", "--publish", "csv:live.csv", "--json", "report.json"]
@@ -109,6 +111,7 @@ def test_signals_end_it_cleanly_with_a_summary(here, number):
     assert lines("live.csv")[-1].count(",") == 7
 
 
+@pytest.mark.fit
 def test_an_unplugged_device_is_taken_up_again_where_it_was(here):
     first = WireDevice(1000, 10, count=100)
     os.symlink(first.path, "port")
@@ -250,6 +253,7 @@ def test_mean_decimation(here):
         assert mean[k][1] == pytest.approx(sum(row[1] for row in block) / 100, rel=1e-8)
 
 
+@pytest.mark.fit
 def test_frames_over_tcp_and_udp_and_a_pipe(here):
     device = WireDevice(1000, 10, count=200)
     wire = [frame for _, frame in device.frames()]
@@ -298,6 +302,7 @@ def test_frames_over_tcp_and_udp_and_a_pipe(here):
     assert estimates("c.csv") == expected
 
 
+@pytest.mark.fit
 def test_a_reader_that_leaves_ends_it(here):
     write_recording(200_000)
     command = f"{sys.executable} -m motorlens_runtime run --source file:rec.csv --sensor s.onnx --rate 0"
@@ -316,6 +321,7 @@ def test_a_full_disk_does_not_stop_the_estimator(here, capsys):
     assert "/dev/full" in capsys.readouterr().err
 
 
+@pytest.mark.fit
 def test_a_blocked_consumer_delays_nothing_and_its_losses_are_counted(here):
     write_recording(300_000)
     read_end, write_end = os.pipe()

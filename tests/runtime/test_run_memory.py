@@ -87,6 +87,7 @@ def test_an_alarm_that_makes_no_sense_ends_the_run_before_it_begins(here, capsys
     assert "does not estimate 'pressure'" in capsys.readouterr().err
 
 
+@pytest.mark.fit
 def test_heat_is_remembered_over_a_restart(here, capsys):
     assert run("--publish", "csv:cold.csv", "--memory", "heat.json", "--rate", "0", "--json", "1.json") == 0
     assert json.loads(Path("1.json").read_text())["memory"] == {
@@ -152,6 +153,7 @@ def test_events_count_as_rows_where_they_are_dropped():
     assert outlet.report().dropped == 0
 
 
+@pytest.mark.fit
 def test_systemd_sees_it_ready_alive_and_stopping(here):
     """Type=notify: a live run under a made-up service manager, ended by SIGTERM."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:

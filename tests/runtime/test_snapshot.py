@@ -187,6 +187,7 @@ def test_a_disk_that_refuses_leaves_the_old_file(sensor, tmp_path):
     assert snapshot.load(path) == taken
 
 
+@pytest.mark.fit
 def test_killed_while_writing_leaves_an_old_or_a_new_snapshot_never_a_torn_one(tmp_path):
     path = tmp_path / "heat.json"
     script = f"""

@@ -83,6 +83,7 @@ def test_after_the_swap_it_is_as_if_the_new_one_had_run_from_the_start(tmp_path)
             assert np.array_equal(getattr(result, field)[rows], getattr(alone, field)[rows]), field
 
 
+@pytest.mark.fit
 def test_swaps_by_the_dozen_lose_nothing(tmp_path):
     a, b = alike(tmp_path, "a.onnx"), alike(tmp_path, "b.onnx", shift=0.01)
     offers = {at: (b, a)[(at // 500) % 2] for at in range(0, 20_000, 500)}
@@ -157,6 +158,7 @@ def test_other_filters_take_over_what_they_share(tmp_path):
     assert not complete and c.bank.values(state.bank).tolist() == expected
 
 
+@pytest.mark.fit
 def test_the_file_is_watched_by_the_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     alike(tmp_path, "s.onnx")

@@ -149,6 +149,7 @@ def test_an_inrush_from_rest_shows_the_temperature_in_a_fifth_of_a_second():
     assert biased[1000] == pytest.approx(0.14, rel=0.4)
 
 
+@pytest.mark.fit
 def test_a_locked_rotor_is_the_best_thermometer_and_a_dead_one_none():
     locked = _from_rest(20.0, 1000.0, 600.0, PERIOD_S, Noise(load_walk=0.02, thermal_walk=0.1)).sd("theta")
     assert locked[-1] == pytest.approx(0.14, rel=0.2)

@@ -54,6 +54,7 @@ def _uneven(recording):
     return [y[keep] for y in (recording.time_s, recording.channels["voltage"], recording.channels["current"])]
 
 
+@pytest.mark.fit
 @needs_compiler
 @pytest.mark.parametrize("observed", [False, True])
 @pytest.mark.parametrize(("double", "tolerance"), [(True, 1e-10), (False, 1e-4)])
@@ -86,6 +87,7 @@ def test_the_header_allocates_nothing_and_includes_only_math():
     assert "malloc" not in header and "printf" not in header
 
 
+@pytest.mark.fit
 def test_the_train_command_writes_sensor_and_header(tmp_path):
     motor = tmp_path / "motor.toml"
     motor.write_text(MELLAH.text)

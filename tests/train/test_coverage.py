@@ -1,6 +1,7 @@
 """The 95 % interval for the function covers 95 % of it, with white errors and with errors that last."""
 
 import numpy as np
+import pytest
 import torch
 
 from motorlens_train.cascade import Architecture
@@ -37,11 +38,13 @@ def coverage(rho: float, seed: int, series: bool) -> tuple[float, float]:
     return float(np.mean(np.abs(distance) <= 1.96)), float(np.sqrt(np.mean(distance**2)))
 
 
+@pytest.mark.fit
 def test_function_is_covered_where_errors_are_white() -> None:
     covered, distance = np.mean([coverage(0.0, seed, series=True) for seed in range(8)], axis=0)
     assert 0.85 < covered < 0.99 and 0.8 < distance < 1.3
 
 
+@pytest.mark.fit
 def test_only_a_tempered_posterior_is_as_sure_as_it_may_be_where_errors_last() -> None:
     """Errors and inputs correlated over 30 samples."""
     covered, distance = np.mean([coverage(0.935, seed, series=True) for seed in range(6)], axis=0)

@@ -104,6 +104,7 @@ def test_paper_split_is_a_partition_of_50_25_25() -> None:
     assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(1003))
 
 
+@pytest.mark.fit
 def test_paper_protocol_beats_the_paper() -> None:
     """The paper: < 0.04 rad/s once steady, 110 at the start, < 0.6 K, < 0.004 ohm, 1.6e-4 after 2000 epochs."""
     recipe = Recipe(
@@ -115,6 +116,7 @@ def test_paper_protocol_beats_the_paper() -> None:
     assert 0 < run.table["temperature"]["rmse"] < 0.2 and 0 < run.table["resistance"]["rmse"] < 0.001
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nearly_exact_data_are_learnt_nearly_exactly(seed: int) -> None:
     """A start from which the evidence settles where the network is all but linear ends above 2e-6."""

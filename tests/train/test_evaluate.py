@@ -100,6 +100,7 @@ def test_a_bank_read_from_the_file_is_the_bank_that_was_written(recording):
         np.testing.assert_array_equal(feature_rows(again, *args), feature_rows(sensor.bank, *args))
 
 
+@pytest.mark.fit
 def test_the_command_from_files_to_table_json_and_drawings(tmp_path, recording, capsys):
     built = small_sensor(True)
     write_sensor(built.sensor, built.card, golden(built.sensor), tmp_path / "small.onnx")

@@ -72,6 +72,7 @@ def test_linear_model_has_the_evidence_of_its_marginal_gaussian() -> None:
     assert full == pytest.approx(variance, rel=1e-9)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("skips", [True, False])
 def test_network_evidence_and_gamma_are_those_of_a_second_implementation(skips: bool) -> None:
     data = wave(300, 0.1)
@@ -95,6 +96,7 @@ def test_noise_is_found_and_the_function_recovered() -> None:
     assert 0.001 < np.sqrt((error**2).mean()) < 0.02
 
 
+@pytest.mark.fit
 def test_evidence_prefers_the_network_that_suffices() -> None:
     """Occam's razor (MacKay 1992, section 4): beyond a sufficient size gamma grows less than the weights, evidence falls."""
     data = wave(400, 0.2)

@@ -56,6 +56,7 @@ def run(model: bytes, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
     return [np.asarray(value) for value in session.run(None, inputs)]
 
 
+@pytest.mark.fit
 def test_core_graph_equals_torch_to_1e_10_of_scale_on_10000_samples(built: Built) -> None:
     sensor = built.sensor
     x = feature_rows(sensor.bank, *samples(10_000, 77))

@@ -96,6 +96,7 @@ def test_gauss_newton_matrix_and_gradient_are_those_of_torch_func(architecture: 
         assert relative(precision[k] * moments.gram, full[mine, mine]) < 1e-9
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     "architecture", [a for a in ARCHITECTURES if a.activation in ("tanh", "logistic")], ids=str
 )
@@ -119,6 +120,7 @@ def test_second_directional_derivative_is_that_of_torch_func(architecture: Archi
     assert relative(torch.cat([by_hidden, by_output.reshape(-1)]), theirs) < 1e-9
 
 
+@pytest.mark.fit
 def test_sums_do_not_depend_on_chunks_or_order() -> None:
     architecture = Architecture(6, (7, 4), 3)
     network, x, y, precision = problem(architecture, rows=5000)

@@ -45,6 +45,7 @@ def follow(watching, recording):
 # ---- straight-line programs
 
 
+@pytest.mark.fit
 def test_a_recorded_expression_is_the_expression():
     x, y = sp.symbols("x y", real=True)
     e = (
@@ -98,6 +99,7 @@ def test_a_document_says_all_of_a_program_and_a_damaged_one_is_refused(watching)
 # ---- the motor's equations
 
 
+@pytest.mark.fit
 def test_rates_and_jacobian_are_those_of_the_motor_with_every_effect():
     for name, effect in catalogue().items():
         motor = replace(MELLAH.motor, effects=(effect.typical(MELLAH.rated),))
@@ -148,6 +150,7 @@ def test_inrush_shows_an_unknown_temperature_within_a_second(watching, rise):
     assert values[1200, watching.outputs.index("temperature")] == pytest.approx(run.rise_K[1200], abs=3.0)
 
 
+@pytest.mark.fit
 def test_it_comes_near_the_bound_on_duty_cycles(watching):
     ratios, coverage = [], []
     for seed in range(3, 9):
@@ -182,6 +185,7 @@ def test_a_load_that_jumps_is_believed_at_once_and_then_sure_again(watching):
     assert seen["load"][at + 500] == pytest.approx(5.0, abs=0.5)
 
 
+@pytest.mark.fit
 def test_a_motor_of_another_ke_is_found_out():
     true = MELLAH.with_values({"ke": 1.06 * MELLAH.values()["ke"]})
     rng = np.random.default_rng(5)
@@ -198,6 +202,7 @@ def test_a_motor_of_another_ke_is_found_out():
     assert deviation["fixed"] < 10.0 < deviation["open"] < 40.0
 
 
+@pytest.mark.fit
 def test_housing_and_magnets_start_as_warm_as_the_winding():
     cold = observer(with_overrides(MELLAH, {"magnet_temperature.beta": 0.002}), SETTINGS)
     rng = np.random.default_rng(6)
@@ -228,6 +233,7 @@ def test_nothing_is_learned_at_rest_without_current(watching):
     assert np.abs(seen["speed"][1000:]).max() < 3.0
 
 
+@pytest.mark.fit
 def test_deviation_widens_without_excitation_and_narrows_at_a_step():
     doubting = observer(MELLAH, replace(SETTINGS, thermal_walk=0.1))
     n, at = 60_000, 40_000
@@ -247,6 +253,7 @@ def test_deviation_widens_without_excitation_and_narrows_at_a_step():
     assert sd[at + 300] < 0.7 * sd[at - 1]
 
 
+@pytest.mark.fit
 def test_an_effect_in_the_motor_file_reaches_the_observer():
     # 1.5 V at the brushes look like 1.6 rad/s to an observer that does not know of them.
     true = with_overrides(MELLAH, {"brush_voltage_drop.V_b": 1.5})
@@ -276,6 +283,7 @@ def test_a_gap_is_forgotten_within_a_second(watching):
 # ---- one sensor, everywhere
 
 
+@pytest.mark.fit
 def test_file_step_graph_and_runtime_agree_with_training(tmp_path):
     built = small_sensor(True)
     write_sensor(built.sensor, built.card, golden(built.sensor), tmp_path / "small.onnx")

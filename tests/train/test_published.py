@@ -56,6 +56,7 @@ def test_parameters_and_noise_of_a_sine_are_those_that_brnn_finds(draw: int) -> 
     assert noise == pytest.approx(their_noise, rel=0.03)
 
 
+@pytest.mark.fit
 def test_their_number_does_not_grow_with_the_network() -> None:
     pairs = [(effective(20, draw)[0], effective(40, draw)[0]) for draw in range(2)]
     for narrow, wide in pairs:

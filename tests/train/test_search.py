@@ -35,6 +35,7 @@ TASK = Task(tuple(map(made_cycle, (1, 2))), (made_cycle(3),), Settings(iteration
 CANDIDATES = restarts([Candidate(hidden, "tanh", True, 0) for hidden in ((), (3,))], 2, 1)
 
 
+@pytest.mark.fit
 def test_killed_search_goes_on_and_finds_the_network_that_is_needed(tmp_path: Path) -> None:
     log, seen = tmp_path / "results.jsonl", []
 
@@ -64,6 +65,7 @@ def test_killed_search_goes_on_and_finds_the_network_that_is_needed(tmp_path: Pa
     assert (tmp_path / "search.png").stat().st_size > 10_000
 
 
+@pytest.mark.fit
 def test_without_unseen_cycles_each_is_left_out_in_turn(tmp_path: Path) -> None:
     task = Task(TASK.training, (), TASK.settings)
     (result,) = search(task, [Candidate((), "tanh", True, 1)], tmp_path / "log.jsonl", 1, lambda r, c: None)

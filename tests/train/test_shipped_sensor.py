@@ -27,6 +27,7 @@ def test_it_loads_and_is_small() -> None:
     assert sensor.card["training_data_sha256"] in SENSOR.with_suffix(".md").read_text(encoding="utf-8")
 
 
+@pytest.mark.fit
 def test_unseen_duty_cycles_are_estimated_as_the_card_says() -> None:
     """Cycles of a seed that nobody trained on, evaluated from the file: within a factor of the card's figures, both ways."""
     file = read_motor_file(ROOT / "models/motors/mellah2016.toml")
@@ -80,7 +81,7 @@ def test_it_is_rebuilt_by_the_command_in_the_makefile() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 def test_training_from_the_motor_is_reproducible(tmp_path: Path) -> None:
     """A small sensor, built twice from one seed: the same bytes."""
     from motorlens_runtime.cli import main

@@ -30,6 +30,7 @@ def diagnosed(**shares):
     return found, settle(found)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     ("shares", "parameter", "at_s", "by"),
     [
@@ -48,6 +49,7 @@ def test_a_change_at_once_is_unknown_and_dated(shares, parameter, at_s, by):
     assert f"{parameter} changes at once" in sentence(found, verdict)
 
 
+@pytest.mark.fit
 def test_a_constant_motor_is_adequate():
     found, verdict = diagnosed()
     assert verdict.kind == "adequate"

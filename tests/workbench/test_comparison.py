@@ -110,6 +110,7 @@ def test_noise_floor_is_the_noise_whatever_lies_below() -> None:
     assert noise_floor(np.zeros(100)) == 0.0
 
 
+@pytest.mark.fit
 def test_a_model_that_is_right_is_at_the_noise() -> None:
     found = compare(SERVO, [bench(nothing, nothing, nothing)])
     for name, sd in NOISE.items():
@@ -122,6 +123,7 @@ def test_a_model_that_is_right_is_at_the_noise() -> None:
     assert all(0.8 < region.rms_in_sigma < 1.3 for region in found.regions.values())
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("equation", sorted(MISSING))
 def test_the_failing_equation_gets_the_blame(equation: str) -> None:
     found = compare(SERVO, [bench(*MISSING[equation])])
@@ -170,6 +172,7 @@ def test_absent_channels_are_said_in_words() -> None:
         compare(SERVO, [inputs_only])
 
 
+@pytest.mark.fit
 def test_several_recordings_are_pooled() -> None:
     one, other = bench(*MISSING["mechanical"], seed=1), bench(*MISSING["mechanical"], seed=2)
     together = compare(SERVO, [one, other]).channels["speed"].rmse
@@ -205,6 +208,7 @@ def test_uneven_stamps_are_kept_one_by_one() -> None:
     assert plot.spec["time"] == {"data": "time_s"} and plot.data["time_s"] is stamps
 
 
+@pytest.mark.fit
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_motor_file(SERVO, tmp_path / "servo.toml")
     write_recording(bench(*MISSING["mechanical"]), tmp_path / "bench.csv")

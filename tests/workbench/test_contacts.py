@@ -43,6 +43,7 @@ def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
     return loose_contact(found.model, runs, [predict(found.model, run, r) for r, run in enumerate(runs)])
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(("more", "share"), [(0.3, 0.15), (1.0, 0.08)])
 def test_spells_are_found_with_their_size_and_share(more, share):
     bad = spells(np.random.default_rng(1), share)
@@ -56,6 +57,7 @@ def test_spells_are_found_with_their_size_and_share(more, share):
     assert np.mean((shown > 0.25) & (shown < 0.6)) < 0.25
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     "shares",
     [

@@ -45,6 +45,7 @@ def test_of_the_robots_only_the_broken_current_sensor_is_dead(side: str) -> None
         assert abs(gain) < 0.2
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("channel", ["current", "speed"])
 @pytest.mark.parametrize(("gain", "faulty"), [(-1.0, True), (0.05, True), (0.6, False), (1.5, False)])
 def test_a_sensor_with_its_wires_swapped_is_found(channel: str, gain: float, faulty: bool) -> None:

@@ -56,6 +56,7 @@ def diagnosed(rough: MotorFile, recording: Recording) -> tuple[Finding, dict]:
     return found, to_json(found, settle(found), None, ["rec.csv"], "motor.toml")
 
 
+@pytest.mark.fit
 def test_coulomb_friction_is_found_with_its_size(rough):
     found, document = diagnosed(rough, recorded(1, {"coulomb_friction": 0.3}))
     assert document["verdict"] in ("named", "group")
@@ -72,6 +73,7 @@ def test_coulomb_friction_is_found_with_its_size(rough):
     assert found.last.found.model.values()["ke"] == pytest.approx(0.9346, rel=0.01)
 
 
+@pytest.mark.fit
 def test_nothing_missing_is_said_with_what_would_have_been_seen(rough):
     _, document = diagnosed(rough, recorded(2))
     assert document["verdict"] == "adequate"
@@ -82,6 +84,7 @@ def test_nothing_missing_is_said_with_what_would_have_been_seen(rough):
     assert "Nothing is missing above" in to_text(document)
 
 
+@pytest.mark.fit
 def test_a_sensor_offset_is_not_taken_for_physics(rough):
     _, document = diagnosed(rough, recorded(3, faults={"speed_sensor_offset": 6.0}))
     offered = {name for group in document["groups"] for name in group}
@@ -89,6 +92,7 @@ def test_a_sensor_offset_is_not_taken_for_physics(rough):
     assert all("_sensor_" in name for name in offered)
 
 
+@pytest.mark.fit
 def test_no_decoy_is_ever_named(rough):
     _, document = diagnosed(rough, recorded(4, {"quadratic_drag": 2e-5}))
     assert "quadratic_drag" in {name for group in document["groups"] for name in group}
@@ -107,6 +111,7 @@ class FrictionBump(Effect):
         return -self.A * exp(-(((turning(x.w) - self.w_b) / self.d) ** 2)) * tanh(x.w)
 
 
+@pytest.mark.fit
 def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
     file = read_motor_file(MOTOR)
     file = replace(file, motor=file.motor.with_effect(FrictionBump(A=1.0)))
@@ -123,6 +128,7 @@ def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
     assert abs(np.abs(x[moving][np.argmax(np.abs(y[moving]))]) - 90) < 25
 
 
+@pytest.mark.fit
 def test_the_commands_in_a_row(rough, tmp_path, capsys):
     motor, first, second = tmp_path / "motor.toml", tmp_path / "a.csv", tmp_path / "b.csv"
     write_motor_file(rough, motor)
@@ -176,6 +182,7 @@ def test_the_commands_in_a_row(rough, tmp_path, capsys):
     assert "coulomb_friction.tau_c" not in read_motor_file(worse).values()
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -33,6 +33,7 @@ def problem():
     return columns, residual
 
 
+@pytest.mark.fit
 def test_projection_equals_regression(problem):
     columns, residual = problem
     left = evidence_of(columns, residual, 64).given(["c0", "c1"])
@@ -155,6 +156,7 @@ def test_a_copy_of_an_accepted_column_says_nothing(problem):
     assert score(left, ["c5"]) is None
 
 
+@pytest.mark.fit
 def test_rates_under_the_null_are_nominal():
     """White noise: p values below 5 % in 5 % of cases, and few curves beyond chance."""
     rng = np.random.default_rng(1)

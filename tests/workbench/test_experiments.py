@@ -46,7 +46,7 @@ def proposed(found: Finding) -> tuple[Verdict, Experiment | None]:
     return verdict, propose(found, verdict, np.random.default_rng(0))
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 @pytest.mark.parametrize("guilty", sorted(TWINS))
 def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_off(rough, guilty):
     """At every load the two are one; on a bare shaft the torque stays and the sensor is gone."""
@@ -62,7 +62,7 @@ def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_of
     assert after.groups == ((guilty,),)
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 def test_no_run_tells_one_wrong_scale_from_another(rough):
     """Torque over current, voltage over speed: four scales in one ratio (ke), whatever the motor does."""
     verdict, experiment = proposed(investigate(rough, [recorded("load_steps", 30.0, faults={"gain": 1.1})]))

@@ -7,8 +7,6 @@ import hashlib
 import importlib.util
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,46 +15,46 @@ import pytest
 from helpers.hidden import draw, generate, generate_again
 from helpers.hidden import score as scoring
 
+from motorlens_runtime.cli import main
+
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 
 # Every fifth of the sixty runs here; `python benchmarks/hidden_effects.py run --split subset --n 60 --small` does them all.
-# The goals of the project are in the benchmark's table. What stands here is what these twelve gave when they were last
-# measured: a change that gives less has broken something, one that gives more is to move the bound.
+# The goals of the project are in the benchmark's table.
 SHARE = 5
-MOST_ALARMS, MOST_WRONG, MOST_MISSED, MOST_OTHER, MOST_NAMED = 0, 0, 1, 1, 0
+# What is amiss with the answers to these twelve, by case, as last measured. A case that gets worse fails, and so does one
+# that gets better: then its line goes.
+AMISS = {"subset-0055": ["missed", "another name first"]}
 
 
 def _truths() -> list[dict[str, Any]]:
     return [json.loads(line) for line in KEY.read_text(encoding="utf-8").splitlines()]
 
 
-def _diagnosed(work: tuple[dict[str, Any], str]) -> scoring.Row:
+def _diagnosed(truth: dict[str, Any], directory: Path) -> scoring.Row:
     """One case as a user would have it: files in, JSON out."""
-    from motorlens_runtime.cli import main
-
-    truth, scratch = work
-    directory = Path(scratch) / str(truth["case"]["id"])
     made = generate_again(truth, directory)
     answer = directory / "diagnosis.json"
     status = main(["diagnose", *map(str, made.recordings), "--motor", str(made.motor), "--json", str(answer)])
-    for path in made.recordings:
-        path.unlink()
     return truth, json.loads(answer.read_text(encoding="utf-8")) if status == 0 else None, 0.0
 
 
-@pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> list[scoring.Row]:
-    scratch = str(tmp_path_factory.mktemp("hidden"))
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=_single_threaded) as pool:
-        return list(pool.map(_diagnosed, [(truth, scratch) for truth in _truths()[::SHARE]]))
-
-
-def _single_threaded() -> None:
-    """Two diagnoses at a time, one core each."""
-    import os
-
-    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+def _amiss(row: scoring.Row) -> list[str]:
+    """What is wrong with an answer, in words; empty if nothing is."""
+    truth, answer, _ = row
+    strong, kind = scoring.strong(row), truth["kind"]
+    first = scoring.named_first(answer)
+    faults = {
+        "no answer": answer is None,
+        "false alarm": kind == "none" and scoring.detected(answer),
+        "wrong name with confidence": scoring.wrong_name(row),
+        "missed": strong and not scoring.detected(answer),
+        "another name first": kind == "single" and strong and scoring.separable(row) and first != truth["hidden"][0]["name"],
+        "a name though in no catalogue": kind == "outside" and strong and (answer or {}).get("verdict") != "unknown",
+        "a decoy named": scoring.mentions_decoy(row),
+    }  # fmt: skip
+    return [words for words, true in faults.items() if true]
 
 
 def _benchmark() -> ModuleType:
@@ -82,6 +80,7 @@ def test_the_plans_are_those_that_were_sealed() -> None:
         assert hashlib.sha256(benchmark.plan_text(split, n, small).encode()).hexdigest() == sealed[name], name
 
 
+@pytest.mark.fit
 def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
     truths = _truths()
     cases = draw("subset", 60, small=True)
@@ -91,54 +90,31 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
     assert made.truth["hidden"][0]["size"] == pytest.approx(truths[number]["hidden"][0]["size"], rel=1e-3)
 
 
-@pytest.mark.slow
-def test_every_diagnosis_gives_an_answer(rows: list[scoring.Row]) -> None:
-    assert [row[0]["case"]["id"] for row in rows if row[1] is None] == []
+def _name(truth: dict[str, Any]) -> str:
+    return str(truth["case"]["id"])
 
 
-@pytest.mark.slow
-def test_nothing_missing_raises_no_alarm(rows: list[scoring.Row]) -> None:
-    alarms = [row[0]["case"]["id"] for row in rows if row[0]["kind"] == "none" and scoring.detected(row[1])]
-    assert len(alarms) <= MOST_ALARMS, alarms
+@pytest.mark.blind
+@pytest.mark.parametrize("truth", _truths()[::SHARE], ids=_name)
+def test_a_case_never_tuned_on_is_answered_no_worse_and_no_better_than_is_written_here(
+    truth: dict[str, Any], tmp_path: Path
+) -> None:
+    row = _diagnosed(truth, tmp_path)
+    verdict = {key: (row[1] or {}).get(key) for key in ("verdict", "chosen")}
+    assert _amiss(row) == AMISS.get(_name(truth), []), (
+        f"{truth['kind']} {[effect['name'] for effect in truth['hidden']]}: {verdict}"
+    )
 
 
-@pytest.mark.slow
-def test_names_given_with_confidence_are_right(rows: list[scoring.Row]) -> None:
-    wrong = [row[0]["case"]["id"] for row in rows if scoring.wrong_name(row)]
-    assert len(wrong) <= MOST_WRONG, wrong
-
-
-@pytest.mark.slow
-def test_what_is_there_is_found(rows: list[scoring.Row]) -> None:
+def test_the_twelve_hold_every_kind_of_case() -> None:
+    rows = [(truth, None, 0.0) for truth in _truths()[::SHARE]]
     strong = [row for row in rows if scoring.strong(row)]
-    missed = [row[0]["case"]["id"] for row in strong if not scoring.detected(row[1])]
-    assert len(strong) >= 6
-    assert len(missed) <= MOST_MISSED, missed
-
-
-@pytest.mark.slow
-def test_the_right_name_comes_first_where_the_channels_separate_it(rows: list[scoring.Row]) -> None:
-    fair = [
-        row for row in rows if row[0]["kind"] == "single" and scoring.strong(row) and scoring.separable(row)
-    ]
-    other = [
-        row[0]["case"]["id"] for row in fair if scoring.named_first(row[1]) != row[0]["hidden"][0]["name"]
-    ]
-    assert len(fair) >= 3
-    assert len(other) <= MOST_OTHER, other
-
-
-@pytest.mark.slow
-def test_what_is_in_no_catalogue_gets_no_name(rows: list[scoring.Row]) -> None:
-    outside = [row for row in rows if row[0]["kind"] == "outside" and scoring.strong(row)]
-    named = [row[0]["case"]["id"] for row in outside if (row[1] or {}).get("verdict") != "unknown"]
-    assert len(outside) >= 1
-    assert len(named) <= MOST_NAMED, named
-
-
-@pytest.mark.slow
-def test_no_decoy_is_ever_named(rows: list[scoring.Row]) -> None:
-    assert not any(scoring.mentions_decoy(row) for row in rows)
+    fair = [row for row in strong if row[0]["kind"] == "single" and scoring.separable(row)]
+    assert len(strong) >= 6 and len(fair) >= 3
+    assert any(row[0]["kind"] == "outside" for row in strong) and any(
+        row[0]["kind"] == "none" for row in rows
+    )
+    assert set(AMISS) <= {_name(row[0]) for row in rows}
 
 
 def test_wilson_interval_of_published_example() -> None:

@@ -32,6 +32,7 @@ def _inputs(n: int) -> np.ndarray:
     ])  # fmt: skip
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     "hidden",
     [
@@ -169,6 +170,7 @@ def test_autoregression_whitens_a_coloured_noise() -> None:
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.02
 
 
+@pytest.mark.fit
 def test_twins_are_recognised_as_twins_and_strangers_are_not() -> None:
     case = world.Case("x", 11, "servo_24V", "single", records="both", small=True)
     known = information.Information(case)
@@ -182,6 +184,7 @@ def test_twins_are_recognised_as_twins_and_strangers_are_not() -> None:
     assert judged.group() == [] and judged.energy > 100
 
 
+@pytest.mark.fit
 def test_detectable_size_grows_with_the_noise() -> None:
     sizes = []
     for noise in (0.01, 0.03):
@@ -195,6 +198,7 @@ def test_detectable_size_grows_with_the_noise() -> None:
 KEY = Path(__file__).resolve().parents[2] / "benchmarks" / "hidden_effects" / "subset-key.jsonl"
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     "name", ["subset-0024", "subset-0030", "subset-0031", "subset-0037", "subset-0038", "subset-0047"]
 )

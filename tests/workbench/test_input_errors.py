@@ -77,6 +77,7 @@ def test_what_is_feigned_is_taken_out_block_by_block():
     assert np.sum(clean.blocks[8:, :2, 2] ** 2, axis=0) == pytest.approx(2 * (apart / 4) ** 2)
 
 
+@pytest.mark.fit
 def test_least_squares_is_freed_of_the_bias_of_a_noisy_voltage():
     """The true parameters are known; the voltage sensor adds noise that never drove the motor."""
     file = read_motor_file(MOTOR)

@@ -19,6 +19,7 @@ MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 PERIOD_S = 0.002
 
 
+@pytest.mark.fit
 def test_resonators_answer_as_scipy_does_also_to_uneven_samples():
     """x'' + 2 d W x' + W^2 x = y'', integrated by scipy on a grid a hundred times finer."""
     rng = np.random.default_rng(0)
@@ -46,6 +47,7 @@ def test_the_amplitude_is_that_of_the_response_of_the_resonators():
     assert np.all((sd > 1e-3) & (sd < 3e-2))
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("twisting", [False, True])
 def test_a_flywheel_on_a_spring_shows_as_a_torque_with_a_memory(twisting):
     """Half of the inertia behind a soft shaft that resonates at 40 Hz; on a stiff shaft nothing of the kind is found."""

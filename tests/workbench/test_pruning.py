@@ -59,6 +59,7 @@ def both():
     )
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("first", ["quadratic_drag", "coulomb_friction"])
 def test_what_a_later_effect_makes_needless_is_dropped(both, first):
     textbook, now, runs = both
@@ -74,6 +75,7 @@ def test_what_a_later_effect_makes_needless_is_dropped(both, first):
     assert less.model.values()["coulomb_friction.tau_c"] == pytest.approx(0.5, rel=0.03)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     ("true", "given_way"),
     [(effect("coulomb_friction", tau_c=0.5), True), (effect("stribeck_friction", tau_s=1.0), False)],
@@ -99,6 +101,7 @@ def test_what_claims_more_gives_way_where_a_simpler_rival_does_as_well(true, giv
     assert step.losses["stribeck_friction"] == 0.0
 
 
+@pytest.mark.fit
 def test_a_twin_is_one_as_seen_from_the_final_model():
     """Nothing that was recorded tells a constant torque from an offset of the torque sensor; friction turns its sign."""
     textbook, now, _ = screened(effect("constant_torque", tau_0=0.3), effect("constant_torque", tau_0=0.1))
@@ -110,6 +113,7 @@ def test_a_twin_is_one_as_seen_from_the_final_model():
     assert seen.losses["coulomb_friction"] == 400.0
 
 
+@pytest.mark.fit
 def test_a_part_that_leaves_takes_its_start_along():
     _, now, _ = screened(effect("constant_torque", tau_0=0.3), effect("two_node_thermal"))
     model = now.found.model

@@ -51,6 +51,7 @@ def wheel(offset: float) -> Recording:
     return Recording("wheel", time, {"voltage": voltage, "current": current, "speed": speed})
 
 
+@pytest.mark.fit
 def test_an_offset_that_the_rest_forbids_is_no_candidate():
     file = read_motor_file(MOTOR)
     used, runs = base_fit(file, [prepare(wheel(4.0), file)])

@@ -147,6 +147,7 @@ class Rub(Effect):
         return {"phi": x.w}
 
 
+@pytest.mark.fit
 def test_a_rub_at_one_angle_is_drawn_against_the_angle():
     file = read_motor_file(MOTOR)
     time = np.arange(10_000) * 0.002

@@ -58,6 +58,7 @@ def recording(unbalance_Nm: float, at_stops_Nm: float) -> Recording:
     )  # fmt: skip
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(("unbalance_Nm", "at_stops_Nm"), [(0.05, 0.0), (0.0, 0.05)])
 def test_torques_at_rest_do_not_pass_for_what_goes_with_the_angle(unbalance_Nm, at_stops_Nm):
     file = read_motor_file(MOTOR)

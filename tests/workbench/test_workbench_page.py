@@ -94,7 +94,7 @@ def simulate(duration="10", rate="100"):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.fit
 def test_the_four_steps(bench, capsys):
     simulate()
     choice = bench.json("/choice")
@@ -136,6 +136,7 @@ def test_the_four_steps(bench, capsys):
     assert [step["number"] for step in bench.json("/state")["steps"]] == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.fit
 def test_an_error_is_the_line_that_the_command_prints(bench, capsys):
     Path("bench.csv").write_text("time_s,voltage_V\n0,1\n1,2\n")
     step, _ = bench.take(kind="compare")
@@ -145,6 +146,7 @@ def test_an_error_is_the_line_that_the_command_prints(bench, capsys):
     assert bench.ask("/results/1.html")[0] == 404
 
 
+@pytest.mark.fit
 def test_a_step_can_be_cancelled_and_leaves_nothing(bench):
     simulate(duration="60", rate="500")
     order = {"kind": "diagnose", "motor": "motor.toml", "recordings": ["bench.csv"]}
@@ -241,6 +243,7 @@ def test_the_shelf_holds_the_folder_and_what_was_named_and_no_more(tmp_path, mon
         shelf.chosen(["in/link.csv"])
 
 
+@pytest.mark.fit
 def test_the_command_serves_until_it_is_told_to_end(tmp_path):
     (tmp_path / "motor.toml").write_text(MOTOR, encoding="utf-8")
     command = [*MOTORLENS, "workbench", "--folder", ".", "--no-browser", "--json", "s.json"]

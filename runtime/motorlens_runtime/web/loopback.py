@@ -16,8 +16,6 @@ import hmac
 import math
 import os
 import secrets
-import socket
-import sys
 import threading
 import time
 import traceback
@@ -26,11 +24,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler
-from pathlib import Path
 from urllib.parse import parse_qsl, quote, urlsplit
 
 from motorlens_runtime.errors import DeviceError
 from motorlens_runtime.web.connections import Connection, Connections
+from motorlens_runtime.web.peer import user_of
 
 MOST_OCTETS = 1 << 20
 # A page loads its own scripts and styles, shows its own pages in frames, talks to its own server, and nothing else.
@@ -198,20 +196,6 @@ def _from_here(headers: Mapping[str, str]) -> bool:
     return headers.get("Sec-Fetch-Site", "") in ("same-origin", "none")
 
 
-def _user_of(line: socket.socket) -> int | None:
-    """The user whose program is at the other end, from the kernel's table of connections; None where it does not say."""
-    with suppress(OSError, ValueError, IndexError):
-        ends = [
-            f"{int.from_bytes(socket.inet_aton(host), sys.byteorder):08X}:{port:04X}"
-            for host, port in (line.getpeername(), line.getsockname())
-        ]
-        for row in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]:
-            fields = row.split()
-            if fields[1:3] == ends:
-                return int(fields[7])
-    return None
-
-
 class _Handler(BaseHTTPRequestHandler):
     """Answers one request; `http.server` reads its head and writes the head of the answer."""
 
@@ -248,7 +232,7 @@ class _Handler(BaseHTTPRequestHandler):
         request = Request(self.command, parts.path, dict(parse_qsl(parts.query)))
         connection, headers = self._connection, dict(self.headers.items())
         if connection.user is None:
-            connection.user = _user_of(connection.line)
+            connection.user = user_of(connection.line)
         answer = self._guard.refused(request, headers, connection.user)
         if answer is not None:
             # The body of who has no key is not waited for.
