@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.line import framing
 from motorlens_runtime.line.link import Link
 from motorlens_runtime.sensor.sensor import Sensor
@@ -155,7 +155,7 @@ class _Line:
         self.per_frame = min(max(round(rate_Hz * _FRAME_S), 1), most)
         self._rate_Hz = rate_Hz
         self._link = Link()
-        self._estimator = Estimator(sensor, 1 / rate_Hz)
+        self._estimator = open_estimator(sensor, 1 / rate_Hz)
         hello = framing.Hello("doctor", 1, (rate_Hz, 1), channels, simulated=True)
         frames = framing.hello_frames(hello, sequence=0, t0_us=0)
         self._link.feed(b"".join(frames), 0)

@@ -10,16 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimate.estimator import Estimates, Estimator, EstimatorState
+from motorlens_runtime.estimate.core_estimator import open_estimator
+from motorlens_runtime.estimate.estimator import Estimates, EstimatorState
 from motorlens_runtime.estimate.gate import GateState, Samples
 from motorlens_runtime.estimate.quality import OpcUa, Quality, names, opc_ua, sparkplug
 from motorlens_runtime.sensor.sensor import load_sensor
 
+pytestmark = pytest.mark.usefixtures("engine")
 SHIPPED = Path(__file__).resolve().parents[2] / "models/sensors"
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
+def sensor(engine, tmp_path_factory):
     path = tmp_path_factory.mktemp("sensor") / "s.onnx"
     write_sensor(path)
     return load_sensor(path)
@@ -37,7 +39,7 @@ def part(samples, rows):
 
 
 def run(sensor, samples, edges=()):
-    estimator = Estimator(sensor, 1e-3)
+    estimator = open_estimator(sensor, 1e-3)
     results = [
         estimator.push(part(samples, rows))
         for rows in np.split(np.arange(len(samples)), np.sort(edges).astype(int))
@@ -73,11 +75,11 @@ def test_the_same_bits_however_samples_arrive(sensor, edges, broken, seed, share
         assert np.array_equal(getattr(whole, field), getattr(cut, field)), field
     # and when only some rows are asked for, as a live publisher does
     rows = np.flatnonzero(np.random.default_rng(seed).random(len(samples)) < share)
-    some = Estimator(sensor, 1e-3).push(samples, rows)
+    some = open_estimator(sensor, 1e-3).push(samples, rows)
     for field in Estimates.__dataclass_fields__:
         assert np.array_equal(getattr(some, field), getattr(whole, field)[rows]), field
     # and block by block, with no row, one or a few of each
-    estimator, few, at = Estimator(sensor, 1e-3), [], 0
+    estimator, few, at = open_estimator(sensor, 1e-3), [], 0
     for block in np.split(np.arange(len(samples)), np.sort(edges).astype(int)):
         asked = rows[(rows >= at) & (rows < at + len(block))] - at
         few.append(estimator.push(part(samples, block), asked))
@@ -124,7 +126,7 @@ def test_a_start_taken_for_cold_is_said_until_it_is_forgotten(sensor):
         _, result = run(sensor, samples, edges)
         cold = (result.quality & Quality.ASSUMED_COLD) > 0
         assert cold[:300].all() and not cold[300:].any()
-    remembered = Estimator(sensor, 1e-3, EstimatorState(sensor.bank.start(), GateState(remembered=True)))
+    remembered = open_estimator(sensor, 1e-3, EstimatorState(sensor.bank.start(), GateState(remembered=True)))
     assert not (remembered.push(early).quality & Quality.ASSUMED_COLD).any()
 
 
@@ -236,9 +238,9 @@ def test_few_samples_are_judged_as_many(sensor, seed, block, period_ns, volts, a
     voltage[n // 2 :: 97] += 30.0
     current = np.repeat(amperes + 0.3 * rng.normal(size=n), 80 if still else 1)[:n]
     samples = Samples(np.arange(n) * period_ns, voltage, current)
-    first = Estimator(sensor, period_ns * 1e-9)
+    first = open_estimator(sensor, period_ns * 1e-9)
     whole = first.push(samples)
-    second = Estimator(sensor, period_ns * 1e-9)
+    second = open_estimator(sensor, period_ns * 1e-9)
     parts = [second.push(part(samples, slice(at, at + block))) for at in range(0, n, block)]
     for field in Estimates.__dataclass_fields__:
         assert np.array_equal(np.concatenate([getattr(p, field) for p in parts]), getattr(whole, field)), (

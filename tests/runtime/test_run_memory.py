@@ -136,7 +136,7 @@ def test_the_state_is_kept_every_ten_seconds_without_waiting_for_the_disk(here, 
     memory = Memory("heat.json", sensor, wall_clock=lambda: wall[0])
     for second in range(61):
         wall[0] = second
-        memory.keep(estimator.state, "", second * 10**9)
+        memory.keep(estimator, "", second * 10**9)
     assert kept == []  # the disk has not answered, and nobody waited for it
     released.append(True)
     memory.close(estimator.state, "")

@@ -25,6 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_runtime import doctor
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
+    from motorlens_runtime.sensor.core_library import core
     from motorlens_runtime.sensor.sensor import load_sensor
 
     if not 0.01 <= arguments.seconds <= 3600:
@@ -42,6 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
         found["sensor"] = {
             "name": sensor.name, "backend": sensor.backend.name, **asdict(cost), "highest_rate_Hz": cost.highest_rate_Hz
         }  # fmt: skip
+    loaded = core()
+    found["core"] = {"available": loaded.library is not None, "path": loaded.path, "reason": loaded.reason}
     found["serial_ports"] = doctor.serial_ports()
     found["advice"] = doctor.advice(found)
     if arguments.json != "-":
@@ -71,6 +74,8 @@ def _say(found: dict[str, Any]) -> None:
         print(f"{'share of a core':17} {shares}")
         rate = sensor["highest_rate_Hz"]
         print(f"{'holds':17} {'no rate measured' if rate is None else f'{rate} samples a second'}")
+    loaded = found["core"]
+    print(f"{'C core':17} {loaded['path'] if loaded['available'] else 'none, Python computes: ' + loaded['reason']}")
     ports = found["serial_ports"]
     print("serial ports:" if ports else "serial ports: none")
     for port in ports:

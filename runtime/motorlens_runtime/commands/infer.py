@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ambient", type=float, metavar="DEGREES_C", help="for a sensor that needs it and a file without it"
     )
     parser.add_argument(
-        "--backend", choices=("auto", "onnxruntime", "numpy"), default="auto", help="default: auto"
+        "--backend", choices=("auto", "core", "numpy", "onnxruntime"), default="auto", help="default: auto"
     )
     add_json_argument(parser)
 

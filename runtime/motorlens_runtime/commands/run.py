@@ -76,7 +76,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="real-time priority, one processor that stays awake, locked memory; says what the system refused",
     )
     parser.add_argument(
-        "--backend", choices=("auto", "onnxruntime", "numpy"), default="auto", help="default: auto"
+        "--backend", choices=("auto", "core", "numpy", "onnxruntime"), default="auto", help="default: auto"
     )
     add_json_argument(parser)
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.estimate.decay import decay
 from motorlens_runtime.records import record
 from motorlens_runtime.sensor.specification import Specification, signals_of
 
@@ -105,18 +106,18 @@ class FilterBank:
         inside, reach = within
         gained = signals.take(self._inputs, axis=0).T
         if steps.count(steps[0]) == len(steps):
-            decay, gain = self._decay(steps[0])
-            decays, gained = [decay] * len(steps), gain * gained
+            kept, gain = self._decay(steps[0])
+            decays, gained = [kept] * len(steps), gain * gained
         else:
             pairs = [self._decay(step) for step in steps]
-            decays, gained = [decay for decay, _ in pairs], np.array([gain for _, gain in pairs]) * gained
+            decays, gained = [kept for kept, _ in pairs], np.array([gain for _, gain in pairs]) * gained
         asked, column = [*rows, -1], 0
-        for k, decay in enumerate(decays):
+        for k, kept in enumerate(decays):
             if place:
-                within *= decay
+                within *= kept
                 inside += gained[k]
             else:
-                inside[:], reach[:] = gained[k], decay[1]
+                inside[:], reach[:] = gained[k], kept[1]
             place += 1
             if k == asked[column]:
                 values[:, column] = inside + reach * before
@@ -134,13 +135,14 @@ class FilterBank:
         inputs = np.ascontiguousarray(signals.reshape(len(signals), blocks, BLOCK).transpose(2, 0, 1))
         y = inputs.take(self._inputs, axis=1)
         if (dt_s == dt_s[0]).all():
-            decay, gain = self._decay(float(dt_s[0]))
+            kept, gain = self._decay(float(dt_s[0]))
             y *= gain[:, None]
-            decays: Any = (np.repeat(decay[0][:, None], blocks, axis=1),) * BLOCK
+            decays: Any = (np.repeat(kept[0][:, None], blocks, axis=1),) * BLOCK
             reach = self._reach(float(dt_s[0]))[:, :, None]
         else:
             dt = dt_s.reshape(blocks, BLOCK).T
-            each = np.exp(-dt[:, None, :] / self.tau_s[:, None])
+            steps, which = np.unique(dt, return_inverse=True)  # a few lengths make up most lines
+            each = decay(-steps / self.tau_s[:, None])[:, which.reshape(dt.shape)].transpose(1, 0, 2)
             y *= 1.0 - each
             decays = each
             reach = each.copy()
@@ -166,13 +168,13 @@ class FilterBank:
 
     def _decay_over(self, step: float) -> tuple[Array, Array]:
         """The decay over a step, (2, S): response and reach decay alike; and what is left of one, (S,)."""
-        decay = np.exp(-step / self.tau_s)
-        return np.array((decay, decay)), 1.0 - decay
+        kept = decay(-step / self.tau_s)
+        return np.array((kept, kept)), 1.0 - kept
 
     def _reach_of(self, step: float) -> Array:
         """Products of the decays from the start of a block, (64, S)."""
-        decay, _ = self._decay(step)
-        return np.multiply.accumulate(np.repeat(decay[:1], BLOCK, axis=0), axis=0)
+        kept, _ = self._decay(step)
+        return np.multiply.accumulate(np.repeat(kept[:1], BLOCK, axis=0), axis=0)
 
 
 def bank_of(specification: Specification) -> FilterBank:

@@ -19,10 +19,10 @@ from motorlens_runtime.sensor.sensor import Sensor, scales, tiled, untiled
 Array = NDArray[np.float64]
 
 # The second backend looks at every so many tiles of 16 samples, always at the first.
-_CHECK_EVERY = 1024
+CHECK_EVERY = 1024
 # As many tiles in one go as keep the work in the cache.
 _TILES_AT_ONCE = 64
-_CHECK_TOLERANCE = 1e-3
+CHECK_TOLERANCE = 1e-3
 
 
 @record(frozen=True)
@@ -75,6 +75,11 @@ class Estimator:
             self._apart, self._whitened = (np.empty((n, TILE)) for n in self._whitening.shape[::-1])
         # The tile that a live line fills; what stands in other columns than those asked for does not matter.
         self._tile = np.zeros((1, len(sensor.specification.features), TILE))
+
+    @property
+    def last_ns(self) -> int | None:
+        """When the last sample was taken that was used, None before the first."""
+        return self.state.gate.last_ns
 
     def push(self, samples: Samples, rows: NDArray[np.intp] | None = None) -> Estimates:
         """Take in n samples and evaluate the sensor at `rows` of them (indices in rising order; None is all).
@@ -137,7 +142,7 @@ class Estimator:
             tiles = tiled(table, 0)
         estimate, sigma = self.sensor.backend.evaluate(tiles)
         disagree = None
-        if self.sensor.checker is not None and -int(numbers[0]) % _CHECK_EVERY <= numbers[-1] - numbers[0]:
+        if self.sensor.checker is not None and -int(numbers[0]) % CHECK_EVERY <= numbers[-1] - numbers[0]:
             disagree = self._disagreement(tiles, np.asarray(numbers), place, estimate)
         outside = self._outside(tiles)[place]
         if len(tiles) == 1:
@@ -149,11 +154,11 @@ class Estimator:
     ) -> int | None:
         """The first row where the second backend differs, among the tiles at which it looks."""
         assert self.sensor.checker is not None
-        checked = np.flatnonzero(numbers % _CHECK_EVERY == 0)
+        checked = np.flatnonzero(numbers % CHECK_EVERY == 0)
         second, _ = self.sensor.checker.evaluate(tiles[checked])
         error = np.abs(second - estimate[checked]) / self._scales[:, None]
         wrong = np.zeros((len(tiles), TILE), dtype=bool)
-        wrong[checked] = ~(error <= _CHECK_TOLERANCE).all(axis=1)
+        wrong[checked] = ~(error <= CHECK_TOLERANCE).all(axis=1)
         at = np.flatnonzero(wrong.reshape(-1)[place])
         return int(at[0]) if len(at) else None
 

@@ -20,11 +20,19 @@ class Channels:
     ambient_C: Array | None
 
 
+NO_COLUMN = 0xFFFF
+
+
 class FeatureMap:
     """How features are made of signals and filters, as index arrays: each is a column, or the difference of two.
 
     The columns are the S filters, then, only if features need them, the U signals and the outputs of the observer. All
     arrays have time along their last axis.
+
+    Attributes:
+        factors: of each signal, the two of one, voltage, current, back-EMF and ambient temperature whose product it is.
+        filter_signals: which signal each filter takes.
+        plus, minus: the columns of each feature; `NO_COLUMN` where nothing is taken away.
     """
 
     def __init__(self, specification: Specification) -> None:
@@ -47,7 +55,11 @@ class FeatureMap:
                 pairs.append((first + self._signals.index(feature.signal), *feature.filters))
             else:
                 pairs.append(feature.filters)
-        self._plus = np.array([pair[0] for pair in pairs], dtype=np.intp)
+        self.factors = tuple(self._pairs)
+        self.filter_signals = tuple(self._signals.index(f.signal) for f in filters)
+        self.plus = tuple(pair[0] for pair in pairs)
+        self.minus = tuple(pair[1] if len(pair) > 1 else NO_COLUMN for pair in pairs)
+        self._plus = np.array(self.plus, dtype=np.intp)
         self._differences = _stretches([(k, pair[1]) for k, pair in enumerate(pairs) if len(pair) > 1])
 
     def signals(self, channels: Channels) -> Array:

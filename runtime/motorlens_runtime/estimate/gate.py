@@ -4,7 +4,7 @@ A sample that is left out is bridged: the state waits, and the next good sample 
 and its doubts are said in the quality word. All decisions depend on earlier samples only, never on how samples are grouped.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
@@ -77,32 +77,66 @@ class Gated(Channels):
     used: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class GateLimits:
+    """What the gate compares with, for one sensor.
+
+    Attributes:
+        warm_up_ns, cold_ns, first_dt_ns: as in `Specification`.
+        slowest_ns, fastest_ns: steps beyond these are not those the sensor was trained on.
+        range: least and most voltage in V and current in A of the envelope.
+        absurd_V, absurd_A: beyond these a number is rubbish.
+        move_V: what counts as a move of the voltage.
+        flowing_A: below this the motor may be at rest.
+        noise_A, slew_A_ns: the current may change by so much, and by so much more a nanosecond.
+    """
+
+    warm_up_ns: int
+    cold_ns: int
+    first_dt_ns: int
+    slowest_ns: float
+    fastest_ns: float
+    range: tuple[float, float, float, float]
+    absurd_V: float
+    absurd_A: float
+    move_V: float
+    flowing_A: float
+    noise_A: float
+    slew_A_ns: float
+    repeats: int = _REPEATS
+
+
+def limits_of(specification: Specification) -> GateLimits:
+    """The limits that a specification asks for."""
+    envelope, inductance_H = specification.envelope, specification.inductance_H
+    most_V, most_A = max(map(abs, envelope.voltage_V)), max(map(abs, envelope.current_A))
+    current_span_A = envelope.current_A[1] - envelope.current_A[0]
+    return GateLimits(
+        warm_up_ns=round(specification.warm_up_s * 1e9), cold_ns=specification.cold_ns,
+        first_dt_ns=specification.first_dt_ns,
+        slowest_ns=1.01e9 / specification.minimum_rate_Hz, fastest_ns=0.99e9 / specification.maximum_rate_Hz,
+        range=(*envelope.voltage_V, *envelope.current_A),
+        absurd_V=_ABSURD * most_V, absurd_A=_ABSURD * most_A,
+        move_V=_MOVE_SHARE * (envelope.voltage_V[1] - envelope.voltage_V[0]),
+        flowing_A=_FLOWING_SHARE * current_span_A, noise_A=0.02 * current_span_A,
+        # L di/dt cannot exceed the supply and an equal back-EMF; half as much again and 2 % of the range for noise.
+        slew_A_ns=3e-9 * most_V / inductance_H if inductance_H > 0 else np.inf,
+    )  # fmt: skip
+
+
 class Gate:
     """The checks for one sensor fed at one rate. `period_s` is the expected time between samples."""
 
     def __init__(self, specification: Specification, period_s: float) -> None:
         self._specification = specification
-        envelope = specification.envelope
-        self._period_ns = round(period_s * 1e9)
-        self._slowest_ns, self._fastest_ns = (
-            1.01e9 / specification.minimum_rate_Hz,
-            0.99e9 / specification.maximum_rate_Hz,
-        )
-        self._warm_up_ns = round(specification.warm_up_s * 1e9)
-        self._cold_ns = specification.cold_ns
-        self._longest_ns = 3 * self._period_ns // 2  # a longer step is a gap
-        self._range = *envelope.voltage_V, *envelope.current_A
-        current_span_A = envelope.current_A[1] - envelope.current_A[0]
-        self._move_V = _MOVE_SHARE * (envelope.voltage_V[1] - envelope.voltage_V[0])
-        self._flowing_A = _FLOWING_SHARE * current_span_A
-        self._noise_A = 0.02 * current_span_A
-        self._voltage_limit = _ABSURD * max(map(abs, envelope.voltage_V))
-        inductance_H = specification.inductance_H
-        self._slew_A_ns = (
-            3e-9 * max(map(abs, envelope.voltage_V)) / inductance_H if inductance_H > 0 else np.inf
-        )
+        limits = limits_of(specification)
+        self._longest_ns = 3 * round(period_s * 1e9) // 2  # a longer step is a gap
+        self._slowest_ns, self._fastest_ns = limits.slowest_ns, limits.fastest_ns
+        self._warm_up_ns, self._cold_ns = limits.warm_up_ns, limits.cold_ns
+        self._range, self._move_V, self._flowing_A = limits.range, limits.move_V, limits.flowing_A
+        self._noise_A, self._slew_A_ns = limits.noise_A, limits.slew_A_ns
+        self._voltage_limit, self._current_limit = limits.absurd_V, limits.absurd_A
         self._ones = np.ones(_FEW, dtype=bool)
-        self._current_limit = _ABSURD * max(map(abs, envelope.current_A))
 
     def inspect(self, state: GateState, samples: Samples) -> tuple[GateState, Gated]:
         """Judge n samples.
@@ -140,7 +174,7 @@ class Gate:
         dt_ns, first_ns = self._steps(state, time_ns, used)
         self._judge_time(state, time_ns, dt_ns, used, first_ns, quality)
         self._judge_range(voltage, current, used, quality)
-        self._judge_slew(state, current, dt_ns, quality)
+        self._judge_slew(state, current, dt_ns, used, quality)
         new = self._judge_stuck(state, voltage, current, quality)
         until = self._bridge(state, time_ns, dt_ns, quality)
         last = n - 1 if good is None else int(good[-1])
@@ -245,7 +279,8 @@ class Gate:
             mark(quality, slice(None), Quality.WARM_UP | Quality.ASSUMED_COLD if cold_ns else Quality.WARM_UP)
             return
         mark(quality, time_ns - first_ns < self._warm_up_ns, Quality.WARM_UP)
-        mark(quality, time_ns - first_ns < cold_ns, Quality.ASSUMED_COLD)
+        if cold_ns:
+            mark(quality, time_ns - first_ns < cold_ns, Quality.ASSUMED_COLD)
         mark(
             quality,
             used & ((dt_ns > self._slowest_ns) | (dt_ns < self._fastest_ns)),
@@ -261,13 +296,16 @@ class Gate:
         mark(quality, used & ~inside, Quality.OUTSIDE_ENVELOPE)
 
     def _judge_slew(
-        self, state: GateState, current: Array, dt_ns: NDArray[np.int64], quality: NDArray[np.uint32]
-    ) -> None:
-        """L di/dt cannot exceed the supply and an equal back-EMF; half as much again and 2 % of the range for noise."""
+        self, state: GateState, current: Array, dt_ns: NDArray[np.int64], used: NDArray[np.bool_],
+        quality: NDArray[np.uint32],
+    ) -> None:  # fmt: skip
         if self._specification.inductance_H <= 0 or not len(current):
             return
-        previous = state.current_A if state.last_ns is not None else current[0]
-        step = np.abs(np.diff(current, prepend=previous))
+        step = np.abs(np.diff(current, prepend=state.current_A))
+        if state.last_ns is None and used.any():
+            step[int(np.argmax(used))] = (
+                0.0  # before the first sample used there is no current to have jumped from
+            )
         mark(quality, (dt_ns > 0) & (step > self._slew_A_ns * dt_ns + self._noise_A), Quality.JUMP)
 
     def _judge_stuck(

@@ -43,6 +43,7 @@ class Observer:
         document: as it stands in the file.
         outputs: how many numbers `read` gives.
         ambient_C: the ambient temperature where none is measured.
+        full_s: a window is full after so many seconds.
 
     Raises:
         KeyError, ValueError, TypeError: the document is not that of an observer this runtime can run.
@@ -52,9 +53,9 @@ class Observer:
         self.document = document
         self.outputs = len(document["outputs"])
         self.ambient_C = float(document["ambient_C"])
-        self._full_s = float(document["period_s"]) * _FULL
+        self.full_s = float(document["period_s"]) * _FULL
         self._size, self._window, self._time = (int(document[key]) for key in ("size", "window", "time"))
-        if not (0 <= self._time < self._window <= self._size and self._full_s > 0):
+        if not (0 <= self._time < self._window <= self._size and self.full_s > 0):
             raise ValueError("layout of the observer's state")
         self._accumulate = _compiled(document["accumulate"], 4 + self._window, self._window)
         self._correct = _compiled(document["correct"], 1 + self._size, self._size)
@@ -67,7 +68,7 @@ class Observer:
     def rest(self, state: State, off_s: float, ambient_C: float | None) -> State:
         """The state after `off_s` seconds without voltage and current, which are known, so that the winding cools; a gap in
         the samples is something else. In steps that the linearised model can take, and four hours of it at most."""
-        piece = _REST_WINDOWS * self._full_s
+        piece = _REST_WINDOWS * self.full_s
         count = math.ceil(min(off_s, _FORGOTTEN_S) / piece)
         zeros, used = np.zeros(count), np.ones(count, dtype=bool)
         ambient = None if ambient_C is None else np.full(count, ambient_C)
@@ -91,12 +92,15 @@ class Observer:
         accumulate, correct, full, width, time = (
             self._accumulate,
             self._correct,
-            self._full_s,
+            self.full_s,
             self._window,
             self._time,
         )
         n = len(voltage_V)
-        ambients = [self.ambient_C] * n if ambient_C is None else ambient_C.tolist()
+        if ambient_C is None:
+            ambients = [self.ambient_C] * n
+        else:
+            ambients = np.where(np.isfinite(ambient_C), ambient_C, self.ambient_C).tolist()
         wanted = np.zeros(n, dtype=bool)
         wanted[slice(None) if rows is None else rows] = True
         read = []

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.files.columns import parse_mapping
 from motorlens_runtime.files.csv_stream import CsvStream, period_of
@@ -59,7 +59,7 @@ def infer(
         if first is None:
             raise DataError(f"{recording}: has a heading but no rows")
         period_s = period_of(first.samples, 1 / sensor.specification.rate_Hz)
-        estimator = Estimator(sensor, period_s)
+        estimator = open_estimator(sensor, period_s)
         publisher = _publisher(sensor, output, parquet)
         if stream.size > _SMALL_BYTES:
             publisher = Behind(publisher)

@@ -5,6 +5,7 @@ Every linear step of the graph (products with constants, sums, differences, sele
 to compute is, for each such function, one product with the columns so far and the function itself.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -28,11 +29,16 @@ class Linear:
 
 @dataclass(frozen=True)
 class Step:
-    """`width` new columns: a function of what `arguments` give, each a matrix over the columns before."""
+    """`width` new columns: a function of what `arguments` give, each a matrix over the columns before.
+
+    `name` is the operation's in ONNX; `limits` are those of Clip.
+    """
 
     function: Callable[..., Any]
     arguments: tuple[Linear, ...]
     width: int
+    name: str
+    limits: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
@@ -149,20 +155,21 @@ class _Folding:
 
     def _function(self, node: Node, arguments: list[Any]) -> Linear:
         """New columns."""
-        function, given = _FUNCTIONS[node.op], arguments
+        function, given, between = _FUNCTIONS[node.op], arguments, (-math.inf, math.inf)
         if node.op == "Clip":
             limits = [*arguments[1:], None, None]
             # As arrays, which numpy takes as they are.
             low = np.array(-np.inf if limits[0] is None else np.asarray(limits[0]).item())
             high = np.array(np.inf if limits[1] is None else np.asarray(limits[1]).item())
             function, given = partial(_clip, low=low, high=high), arguments[:1]
+            between = float(low), float(high)
         linear = [self.linear(argument) for argument in given]
         width = max(len(argument.weights) for argument in linear)
         linear = [
             argument if len(argument.weights) == width else Linear(np.repeat(argument.weights, width, axis=0))
             for argument in linear
         ]
-        self.steps.append(Step(function, tuple(linear), width))
+        self.steps.append(Step(function, tuple(linear), width, node.op, between))
         weights = np.zeros((width, self.columns + width))
         weights[:, self.columns :] = np.eye(width)
         self.columns += width

@@ -5,6 +5,7 @@ sequence. A file that fails any of them does not load; docs/sensor-file.md says 
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,14 @@ from motorlens_runtime.estimate.extractor import Extractor, extractor_of
 from motorlens_runtime.estimate.features import Channels
 from motorlens_runtime.files.shipped import sensor_path
 from motorlens_runtime.sensor.backend import TILE, Backend, NumpyBackend, OrtBackend
+from motorlens_runtime.sensor.core_backend import CoreBackend
+from motorlens_runtime.sensor.folded import fold
 from motorlens_runtime.sensor.onnx_file import OnnxFile, check_seal, parse
 from motorlens_runtime.sensor.specification import Specification, parse_specification
+from motorlens_runtime.sensor.tables import tables_of
 
 SCHEMA = "motorlens.sensor/1"
+BACKENDS = ("auto", "core", "numpy", "onnxruntime")
 Array = NDArray[np.float64]
 
 
@@ -50,9 +55,15 @@ def load_sensor(path: str | Path, backend: str = "auto") -> Sensor:
     """Load and verify a sensor.
 
     Args:
+<<<<<<< HEAD
         path: the core graph, `NAME.onnx`, or the name of a shipped sensor.
         backend: "onnxruntime", "numpy", or "auto": numpy, which is the faster for so small a network, checked against
             onnxruntime where that is installed.
+=======
+        path: the core graph, `NAME.onnx`.
+        backend: one of `BACKENDS`; "auto" is the C core, or numpy where there is none, checked against onnxruntime where
+            that is installed.
+>>>>>>> 6fa6fb3 (The core in C99: gate, filters, observer and network as Python computes them, to the bit where it remembers; infer and run use it where there is a compiler)
 
     Raises:
         ModelError: the file is absent, damaged, altered, of an unknown kind, or does not give its golden values.
@@ -107,29 +118,36 @@ def untiled(values: Array) -> Array:
 def _backends(
     data: bytes, model: OnnxFile, specification: Specification, wanted: str, where: str
 ) -> tuple[Backend, Backend | None]:
-    if wanted not in ("auto", "onnxruntime", "numpy"):
-        raise ModelError(f"{where}: no backend {wanted!r}; choose onnxruntime, numpy or auto")
+    """What computes, and the second that looks now and then, in the order of speed: the C core, numpy, ONNX Runtime."""
+    if wanted not in BACKENDS:
+        raise ModelError(f"{where}: no backend {wanted!r}; choose {', '.join(BACKENDS)}")
     features, outputs = len(specification.features), len(specification.outputs)
-    try:
-        ours: Backend | None = NumpyBackend(model, features, where)
-    except ModelError:
-        if wanted == "numpy":
-            raise
-        ours = None
+    ways: dict[str, Callable[[], Backend]] = {
+        "core": lambda: CoreBackend(tables_of(specification, fold(model, features, where))),
+        "numpy": lambda: NumpyBackend(model, features, where),
+        "onnxruntime": lambda: OrtBackend(data, features, outputs, where),
+    }
     if wanted == "numpy":
-        assert ours is not None
-        return ours, None
-    try:
-        theirs = OrtBackend(data, features, outputs, where)
-    except ModuleNotFoundError:
-        if wanted == "onnxruntime" or ours is None:
-            raise ModelError(
-                f"{where}: needs onnxruntime, which is not installed: pip install onnxruntime"
-            ) from None
-        return ours, None
-    if wanted == "onnxruntime" or ours is None:
-        return theirs, ours
-    return ours, theirs
+        return ways["numpy"](), None
+    made: list[Backend] = []
+    for name in dict.fromkeys((*(() if wanted == "auto" else (wanted,)), *ways)):
+        if name == "core" and wanted == "onnxruntime":
+            continue
+        try:
+            made.append(ways[name]())
+        except ModelError as error:
+            if name == wanted or (name == "onnxruntime" and made):
+                raise
+            refused = error
+        except ModuleNotFoundError:
+            if name == wanted or not made:
+                raise ModelError(
+                    f"{where}: needs onnxruntime, which is not installed: pip install onnxruntime"
+                ) from None
+    if not made:
+        raise refused
+    # The second is the one that shares least with the first.
+    return made[0], made[-1] if len(made) > 1 else None
 
 
 def _check_golden(sensor: Sensor, golden: dict[str, Any]) -> None:

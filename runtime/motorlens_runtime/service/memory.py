@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from motorlens_runtime.estimate.estimator import EstimatorState
+from motorlens_runtime.estimate.estimator import Estimator, EstimatorState
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.sensor.sensor import Sensor
 from motorlens_runtime.service import snapshot
@@ -62,14 +62,14 @@ class Memory:
             self._restored_until_ns = int(samples.time_ns[0]) + self._warm_up_ns
         return snapshot.flagged(samples, self._restored_until_ns)
 
-    def keep(self, state: EstimatorState, device: str, now_ns: int) -> None:
-        """Keep the state when it is due; returns at once."""
+    def keep(self, estimator: Estimator, device: str, now_ns: int) -> None:
+        """Keep its state when it is due; returns at once."""
         if self._next_ns is None:
             self._next_ns = now_ns + _EVERY_NS
         if now_ns < self._next_ns or (self._thread is not None and self._thread.is_alive()):
             return
         self._next_ns = now_ns + _EVERY_NS
-        taken = snapshot.take(self._sensor, device, state, self._wall_clock())
+        taken = snapshot.take(self._sensor, device, estimator.state, self._wall_clock())
         self._thread = threading.Thread(target=self._save, args=(taken,), name="memory", daemon=True)
         self._thread.start()
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.estimator import Estimates, Estimator, EstimatorState
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
@@ -120,7 +121,7 @@ class Service:
             self._latest = estimates
             self._hand_out(estimates)
         if self._memory is not None:
-            self._memory.keep(estimator.state, self._feed.device, arrival_ns)
+            self._memory.keep(estimator, self._feed.device, arrival_ns)
         self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
         self._blocks += 1
 
@@ -180,7 +181,7 @@ class Service:
             state = self._state if self._estimator is None else self._estimator.state
             if state is None and self._memory is not None:
                 state = self._memory.recall(self._feed.device)
-            self._estimator, self._period_s = Estimator(self._sensor, period_s, state), period_s
+            self._estimator, self._period_s = open_estimator(self._sensor, period_s, state), period_s
         return self._estimator
 
     def _finished(self) -> bool:
@@ -188,10 +189,10 @@ class Service:
         if self._settings.duration_s == np.inf:
             return False
         duration_ns = self._settings.duration_s * 1e9
-        gate = None if self._estimator is None else self._estimator.state.gate
-        if gate is None or gate.last_ns is None or self._first_ns is None or self._period_s is None:
+        last_ns = None if self._estimator is None else self._estimator.last_ns
+        if last_ns is None or self._first_ns is None or self._period_s is None:
             return self._clock() - self._started_ns >= duration_ns
-        if gate.last_ns - self._first_ns + self._period_s * 1e9 >= duration_ns:
+        if last_ns - self._first_ns + self._period_s * 1e9 >= duration_ns:
             return True
         return self._clock() - self._started_ns >= duration_ns + _GRACE_NS
 

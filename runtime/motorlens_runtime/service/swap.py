@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import ModelError
+from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.estimator import Estimates, Estimator, EstimatorState
 from motorlens_runtime.estimate.gate import GateState, Samples
 from motorlens_runtime.estimate.quality import Quality
@@ -116,7 +117,7 @@ class Swap:
             state, complete = carried(estimator.state, old, offer)
             warm_up_ns = 0 if complete else round(offer.specification.warm_up_s * 1e9)
             self._beside = _Beside(
-                Estimator(offer, period_s, state), now_ns + max(self._shadow_ns, warm_up_ns), True
+                open_estimator(offer, period_s, state), now_ns + max(self._shadow_ns, warm_up_ns), True
             )
 
     def _judge(

@@ -1,0 +1,52 @@
+/* exp and log in double, of IEEE operations alone. */
+#include "arithmetic.h"
+
+double motorlens_decay(double x)
+{
+    /* What has decayed further is nothing. */
+    return x < -708.0 ? 0.0 : exp_between(x);
+}
+
+double motorlens_exp(double x)
+{
+    if (!(x >= -708.0))
+        return x != x ? x : 0.0;
+    return x > 709.0 ? (double)INFINITY : exp_between(x);
+}
+
+double motorlens_log(double x)
+{
+    /* x = 2^k m with m within a factor of sqrt(2) of one; log m = 2 artanh s, s = (m - 1) / (m + 1), |s| < 0.172. */
+    uint64_t bits;
+    int32_t k = 0;
+    double m, s, square, p;
+    if (!(x > 0.0))
+        return x == 0.0 ? -(double)INFINITY : (double)NAN;
+    if (!isfinite(x))
+        return x;
+    if (x < 2.2250738585072014e-308) {
+        x *= 18014398509481984.0; /* 2^54: a subnormal number becomes a normal one */
+        k = -54;
+    }
+    memcpy(&bits, &x, sizeof bits);
+    k += (int32_t)(bits >> 52) - 1023;
+    bits = (bits & 0x000FFFFFFFFFFFFFu) | 0x3FF0000000000000u;
+    memcpy(&m, &bits, sizeof m);
+    if (m > 1.4142135623730951) {
+        m *= 0.5;
+        k++;
+    }
+    s = (m - 1.0) / (m + 1.0);
+    square = s * s;
+    p = 1.0 / 21.0;
+    p = p * square + 1.0 / 19.0;
+    p = p * square + 1.0 / 17.0;
+    p = p * square + 1.0 / 15.0;
+    p = p * square + 1.0 / 13.0;
+    p = p * square + 1.0 / 11.0;
+    p = p * square + 1.0 / 9.0;
+    p = p * square + 1.0 / 7.0;
+    p = p * square + 1.0 / 5.0;
+    p = p * square + 1.0 / 3.0;
+    return (double)k * 6.93147180369123816490e-01 + (2.0 * s + (2.0 * s * square * p + (double)k * 1.90821492927058770002e-10));
+}

@@ -1,0 +1,214 @@
+/* motorlens.h - a virtual sensor in C99: samples in, estimates with their deviation and quality out.
+ *
+ * The same steps, names and numbers as the Python packages `line` and `estimate` of the runtime, which are the readable
+ * reference. No allocation, no globals: a sensor is constant tables, all that is remembered is one plain struct.
+ *
+ *     motorlens_state state;
+ *     motorlens_start(&sensor, &state, 1000000);                 nanoseconds between samples: half as much again is a gap
+ *     each sample:   word = motorlens_update(&sensor, &state, &sample);
+ *     when wanted:   word = motorlens_evaluate(&sensor, &state, &sample, word, estimate, sigma);
+ *
+ * IEEE arithmetic and no contraction of products and sums (-ffp-contract=off) give the same bits on every machine.
+ */
+#ifndef MOTORLENS_H
+#define MOTORLENS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "motorlens_config.h"
+
+/* Reasons to trust an estimate less; 0 is good. As `quality.Quality`. */
+enum {
+    MOTORLENS_WARM_UP = 1, MOTORLENS_BRIDGED = 2, MOTORLENS_STALE = 4, MOTORLENS_SATURATED = 8,
+    MOTORLENS_OUTSIDE_ENVELOPE = 16, MOTORLENS_NOT_FINITE = 32, MOTORLENS_RESTORED = 64, MOTORLENS_OVERLOAD = 128,
+    MOTORLENS_SIMULATED = 256, MOTORLENS_BACKEND_MISMATCH = 512, MOTORLENS_STUCK = 1024, MOTORLENS_JUMP = 2048,
+    MOTORLENS_ASSUMED_COLD = 4096
+};
+
+/* One instant. `ambient_C` is NaN where it is not measured; `flags` are reasons that the source knows already. */
+typedef struct {
+    int64_t time_ns;
+    double voltage_V, current_A, ambient_C;
+    uint32_t flags;
+} motorlens_sample;
+
+/* ---- the sensor: constant tables --------------------------------------------------------------------------------- */
+
+/* What of a sample is believed; derived from the envelope by `gate.Gate`. */
+typedef struct {
+    int64_t warm_up_ns, cold_ns, first_dt_ns;
+    double slowest_ns, fastest_ns;
+    double least_V, most_V, least_A, most_A;
+    double absurd_V, absurd_A, move_V, flowing_A, noise_A;
+    double slew_A_ns; /* a current cannot change faster; infinite where the inductance is not known */
+    int32_t repeats, needs_ambient;
+} motorlens_gate;
+
+/* Signals are products of two of: 0 one, 1 voltage, 2 current, 3 back-EMF of the cold winding, 4 ambient. */
+typedef struct {
+    uint16_t signals, filters, features;
+    const uint8_t *first, *second;   /* (signals) factors of each */
+    const uint8_t *filter_signal;    /* (filters) which signal each filters */
+    const double *tau_s;             /* (filters) */
+    const uint16_t *plus, *minus;    /* (features) columns: filters, signals, observer; minus 0xFFFF is none */
+    double resistance_ohm;
+} motorlens_features;
+
+/* Where the sensor was trained: the features' distance from their mean, of which z = L' (features - mean) has the length. The
+ * network reads z in single precision, which features of such different size would not survive, and features - mean in double,
+ * where a change of basis would cost more than it gains. */
+typedef struct {
+    const double *mean;              /* (features) */
+    const motorlens_real *whitening; /* columns of the lower triangle L, one after another; NULL is the unit matrix */
+    double limit;                    /* of the sum of squares of z; infinite is none */
+    int32_t reads_z;                 /* whether the network does */
+} motorlens_envelope;
+
+enum {
+    MOTORLENS_TANH, MOTORLENS_EXP, MOTORLENS_SQRT, MOTORLENS_CLIP, MOTORLENS_MUL, MOTORLENS_SIGMOID, MOTORLENS_RELU,
+    MOTORLENS_SOFTPLUS, MOTORLENS_LOG, MOTORLENS_DIV, MOTORLENS_ABS, MOTORLENS_RECIPROCAL, MOTORLENS_MAX, MOTORLENS_MIN
+};
+
+/* What a step works on: the columns from `start` on, or, with weights, `width` sums over so many of them. */
+typedef struct {
+    const motorlens_real *weights; /* (width, columns) */
+    uint16_t start, columns;
+} motorlens_argument;
+
+/* `width` new columns: a function of one or two arguments. */
+typedef struct {
+    uint8_t function, arguments; /* arguments 1; 2; 3 is two that are the same */
+    uint16_t width;
+    motorlens_argument argument[2];
+    motorlens_real low, high; /* of MOTORLENS_CLIP */
+} motorlens_step;
+
+/* The folded core graph: columns are what it reads of the features, a one, and what the steps add. */
+typedef struct {
+    const motorlens_step *steps;
+    uint16_t count, outputs;
+    motorlens_argument estimate, sigma;
+    const double *offset; /* (outputs) constants of the estimate, added last and in double */
+} motorlens_network;
+
+enum {
+    MOTORLENS_OP_ADD, MOTORLENS_OP_SUB, MOTORLENS_OP_MUL, MOTORLENS_OP_DIV, MOTORLENS_OP_NEG, MOTORLENS_OP_POW,
+    MOTORLENS_OP_SQRT, MOTORLENS_OP_EXP, MOTORLENS_OP_LOG, MOTORLENS_OP_TANH, MOTORLENS_OP_SIN, MOTORLENS_OP_COS,
+    MOTORLENS_OP_ABS, MOTORLENS_OP_MAX, MOTORLENS_OP_MIN, MOTORLENS_OP_SIGN, MOTORLENS_OP_LE, MOTORLENS_OP_SELECT
+};
+
+/* One operation of a straight-line program. A register from `registers` on is a constant. */
+typedef struct {
+    uint8_t operation;
+    MOTORLENS_REGISTER result, argument[3];
+} motorlens_operation;
+
+/* A straight-line program: its inputs are the first registers. */
+typedef struct {
+    const motorlens_operation *steps;
+    const double *constants;
+    const MOTORLENS_REGISTER *outputs;
+    uint16_t count, registers, inputs, results;
+} motorlens_program;
+
+/* The physics observer; `size` 0 is none. Layout as in docs/sensor-file.md. */
+typedef struct {
+    motorlens_program accumulate, correct, read;
+    uint16_t size, window, time, outputs;
+    double full_s, ambient_C;
+} motorlens_observer;
+
+typedef struct {
+    motorlens_gate gate;
+    motorlens_features features;
+    motorlens_envelope envelope;
+    motorlens_network network;
+    motorlens_observer observer;
+} motorlens_sensor;
+
+/* ---- what is remembered: may be copied, stored and put back ------------------------------------------------------ */
+
+#define MOTORLENS_NEVER INT64_MAX
+
+typedef struct {
+    int64_t first_ns, last_ns, bridged_until_ns, count, current_since, first_move, dead_since;
+    double voltage_V, current_A, ambient_C;
+    int32_t begun, remembered; /* whether a sample was used yet; whether the heat of an earlier run was there at the start */
+} motorlens_gate_state;
+
+/* The filters after `count` samples; see bank.c. The decay belongs to the step `dt_s`. */
+typedef struct {
+    int64_t count;
+    double before[MOTORLENS_FILTERS], inside[MOTORLENS_FILTERS], reach[MOTORLENS_FILTERS];
+    double dt_s, decay[MOTORLENS_FILTERS], gain[MOTORLENS_FILTERS];
+} motorlens_bank_state;
+
+typedef struct {
+    motorlens_gate_state gate;
+    motorlens_bank_state bank;
+    double observer[MOTORLENS_OBSERVER];
+    int64_t period_ns;
+    int32_t failed; /* the observer began afresh at the last sample */
+} motorlens_state;
+
+/* ---- the sensor at work ------------------------------------------------------------------------------------------ */
+
+/* A fresh state. */
+void motorlens_start(const motorlens_sensor *sensor, motorlens_state *state, int64_t period_ns);
+
+/* Take in a sample, whose numbers become those last believed where they are not used. Gives the quality word so far;
+ * or MOTORLENS_BACKWARDS, and leaves everything as it was, where time runs backwards. */
+uint32_t motorlens_update(const motorlens_sensor *sensor, motorlens_state *state, motorlens_sample *sample);
+#define MOTORLENS_BACKWARDS UINT32_MAX
+
+/* The estimates and one standard deviation of each (network.outputs) after the sample that `update` has taken; gives the
+ * quality word. */
+uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample,
+                            uint32_t quality, double *estimate, double *sigma);
+
+/* Many samples in one call: n of each array (`ambient_C` and `flags` may be NULL), evaluated at the m indices `rows` in rising
+ * order (NULL: all); `features` (m, F) is where the features go, or NULL. Gives 0, or the index from 1 of a sample at which time runs backwards, and leaves the state as it was. */
+int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, int64_t n, const int64_t *time_ns,
+                       const double *voltage_V, const double *current_A, const double *ambient_C, const uint32_t *flags,
+                       int64_t m, const int64_t *rows, double *estimate, double *sigma, uint32_t *quality,
+                       double *features);
+/* A number of each of some rows that are evaluated side by side. */
+typedef motorlens_real motorlens_lanes[MOTORLENS_LANES];
+typedef double motorlens_wide[MOTORLENS_LANES];
+
+/* Rows that wait to be evaluated together. */
+typedef struct {
+    motorlens_wide features[MOTORLENS_FEATURES];
+    uint32_t quality[MOTORLENS_LANES];
+    int32_t rows;
+} motorlens_batch;
+
+void motorlens_batch_start(motorlens_batch *batch);
+/* Add a row; whether the batch is full and must be finished before the next. */
+int motorlens_batch_add(const motorlens_sensor *sensor, motorlens_batch *batch, const double *features, uint32_t quality);
+/* Estimates and deviations (rows, outputs) and the quality words (rows); the batch is empty afterwards. */
+void motorlens_batch_finish(const motorlens_sensor *sensor, motorlens_batch *batch, double *estimate, double *sigma,
+                            uint32_t *quality);
+
+/* ---- its parts --------------------------------------------------------------------------------------------------- */
+
+uint32_t motorlens_gate_inspect(const motorlens_gate *gate, motorlens_gate_state *state, int64_t period_ns,
+                                motorlens_sample *sample, int64_t *dt_ns, int *used);
+void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state *state, double dt_s, const double *signals);
+void motorlens_bank_values(const motorlens_features *map, const motorlens_bank_state *state, double *values);
+void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, double *signals);
+void motorlens_features_of(const motorlens_features *map, const double *columns, double *features);
+void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_wide *features, motorlens_lanes *columns,
+                        double *squares);
+void motorlens_network_evaluate(const motorlens_network *network, int features, motorlens_lanes *columns,
+                                motorlens_wide *estimate, motorlens_wide *sigma);
+int motorlens_program_run(const motorlens_program *program, const double *inputs, double *results);
+int motorlens_observer_advance(const motorlens_observer *observer, double *state, const motorlens_sample *sample,
+                               double dt_s);
+int motorlens_observer_read(const motorlens_observer *observer, double *state, double ambient_C, double *outputs);
+double motorlens_decay(double x);
+double motorlens_exp(double x);
+double motorlens_log(double x);
+
+#endif

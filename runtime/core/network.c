@@ -1,0 +1,90 @@
+/* The folded core graph: for each step some sums of products over the columns so far, and a function. As `backend.NumpyBackend`. */
+#include <math.h>
+
+#include "motorlens.h"
+#include "arithmetic.h"
+
+/* Sums of products in the order of the columns, each row of the batch for itself. */
+static const motorlens_lanes *value_of(const motorlens_argument *argument, int width, const motorlens_lanes *columns,
+                                       motorlens_lanes *room)
+{
+    const motorlens_real *weights = argument->weights;
+    columns += argument->start;
+    if (weights == NULL)
+        return columns;
+    for (int k = 0; k < width; k++, weights += argument->columns) {
+        motorlens_lanes sum = {0};
+        for (int j = 0; j < argument->columns; j++)
+            for (int lane = 0; lane < MOTORLENS_LANES; lane++)
+                sum[lane] += weights[j] * columns[j][lane];
+        memcpy(room[k], sum, sizeof sum);
+    }
+    return (const motorlens_lanes *)room;
+}
+
+static motorlens_real of_one(uint8_t function, motorlens_real x)
+{
+    switch (function) {
+    case MOTORLENS_TANH: return real_tanh(x);
+    case MOTORLENS_EXP: return real_exp(x);
+    case MOTORLENS_SQRT: return real_sqrt(x);
+    case MOTORLENS_SIGMOID: return 1 / (1 + real_exp(-x));
+    case MOTORLENS_RELU: return x < 0 ? 0 : x;
+    case MOTORLENS_SOFTPLUS: return (x > 0 ? x : 0) + (motorlens_real)motorlens_log(1.0 + (double)real_exp(x > 0 ? -x : x));
+    case MOTORLENS_LOG: return (motorlens_real)motorlens_log((double)x);
+    case MOTORLENS_ABS: return x < 0 ? -x : x;
+    default: return 1 / x; /* MOTORLENS_RECIPROCAL */
+    }
+}
+
+static motorlens_real of_two(uint8_t function, motorlens_real x, motorlens_real y)
+{
+    switch (function) {
+    case MOTORLENS_MUL: return x * y;
+    case MOTORLENS_DIV: return x / y;
+    case MOTORLENS_MAX: return x < y || y != y ? y : x;
+    default: return y < x || y != y ? y : x; /* MOTORLENS_MIN */
+    }
+}
+
+void motorlens_network_evaluate(const motorlens_network *network, int features, motorlens_lanes *columns,
+                                motorlens_wide *estimate, motorlens_wide *sigma)
+{
+    motorlens_lanes room[2][MOTORLENS_WIDTH];
+    motorlens_lanes *next = columns + features;
+    const motorlens_lanes *value;
+    for (int lane = 0; lane < MOTORLENS_LANES; lane++)
+        (*next)[lane] = 1;
+    next++;
+    for (int s = 0; s < network->count; s++) {
+        const motorlens_step *step = network->steps + s;
+        const int width = step->width, count = width * MOTORLENS_LANES;
+        const motorlens_lanes *first = value_of(&step->argument[0], width, (const motorlens_lanes *)columns, room[0]);
+        const motorlens_real *x = *first, *y = x;
+        motorlens_real *out = *next;
+        if (step->arguments == 2)
+            y = *value_of(&step->argument[1], width, (const motorlens_lanes *)columns, room[1]);
+        if (step->function == MOTORLENS_TANH) { /* apart, so that it is computed side by side */
+            for (int k = 0; k < count; k++)
+                out[k] = real_tanh(x[k]);
+        } else if (step->function == MOTORLENS_CLIP) {
+            for (int k = 0; k < count; k++)
+                out[k] = x[k] < step->low ? step->low : x[k] > step->high ? step->high : x[k];
+        } else if (step->arguments == 1) {
+            for (int k = 0; k < count; k++)
+                out[k] = of_one(step->function, x[k]);
+        } else {
+            for (int k = 0; k < count; k++)
+                out[k] = of_two(step->function, x[k], y[k]);
+        }
+        next += width;
+    }
+    value = value_of(&network->estimate, network->outputs, (const motorlens_lanes *)columns, room[0]);
+    for (int k = 0; k < network->outputs; k++)
+        for (int lane = 0; lane < MOTORLENS_LANES; lane++)
+            estimate[k][lane] = (double)value[k][lane] + network->offset[k];
+    value = value_of(&network->sigma, network->outputs, (const motorlens_lanes *)columns, room[0]);
+    for (int k = 0; k < network->outputs; k++)
+        for (int lane = 0; lane < MOTORLENS_LANES; lane++)
+            sigma[k][lane] = (double)value[k][lane];
+}
