@@ -16,6 +16,7 @@ typedef double motorlens_real; /* of the network; what remembers is double every
 #define MOTORLENS_OBSERVER 96
 #define MOTORLENS_REGISTERS 1024
 #define MOTORLENS_REGISTER uint16_t
+#define MOTORLENS_OPERATIONS 0x3FFFFu /* of the observer: a bit for each MOTORLENS_OP_ that it may have */
 /* The observer's exp, log, pow, tanh, sin and cos are those of this machine's libm, as they are in Python. */
 #define MOTORLENS_LIBM 1
 

@@ -22,6 +22,9 @@ static double observer_pow(double x, double y)
 }
 #endif
 
+/* A sensor that has no sine brings none: which operations there are is known when it is compiled. */
+#define HAS(operation) ((MOTORLENS_OPERATIONS >> (operation)) & 1u)
+
 /* The value of an operation; `failed` where Python raises. */
 static double applied(uint8_t operation, double a, double b, double c, int *failed)
 {
@@ -35,26 +38,26 @@ static double applied(uint8_t operation, double a, double b, double c, int *fail
         return a / b;
     case MOTORLENS_OP_NEG: return -a;
     case MOTORLENS_OP_POW:
-        result = observer_pow(a, b);
+        result = HAS(MOTORLENS_OP_POW) ? observer_pow(a, b) : 0.0;
         *failed |= (isfinite(a) && isfinite(b) && !isfinite(result));
         return result;
     case MOTORLENS_OP_SQRT:
         *failed |= a < 0.0;
-        return sqrt(a);
+        return HAS(MOTORLENS_OP_SQRT) ? sqrt(a) : 0.0;
     case MOTORLENS_OP_EXP:
-        result = observer_exp(a);
+        result = HAS(MOTORLENS_OP_EXP) ? observer_exp(a) : 0.0;
         *failed |= isfinite(a) && isinf(result);
         return result;
     case MOTORLENS_OP_LOG:
         *failed |= a <= 0.0;
-        return observer_log(a);
-    case MOTORLENS_OP_TANH: return tanh(a);
+        return HAS(MOTORLENS_OP_LOG) ? observer_log(a) : 0.0;
+    case MOTORLENS_OP_TANH: return HAS(MOTORLENS_OP_TANH) ? tanh(a) : 0.0;
     case MOTORLENS_OP_SIN:
         *failed |= isinf(a) != 0;
-        return sin(a);
+        return HAS(MOTORLENS_OP_SIN) ? sin(a) : 0.0;
     case MOTORLENS_OP_COS:
         *failed |= isinf(a) != 0;
-        return cos(a);
+        return HAS(MOTORLENS_OP_COS) ? cos(a) : 0.0;
     case MOTORLENS_OP_ABS: return fabs(a);
     case MOTORLENS_OP_MAX: return a >= b ? a : b;
     case MOTORLENS_OP_MIN: return a <= b ? a : b;

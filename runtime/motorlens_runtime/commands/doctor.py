@@ -75,7 +75,9 @@ def _say(found: dict[str, Any]) -> None:
         rate = sensor["highest_rate_Hz"]
         print(f"{'holds':17} {'no rate measured' if rate is None else f'{rate} samples a second'}")
     loaded = found["core"]
-    print(f"{'C core':17} {loaded['path'] if loaded['available'] else 'none, Python computes: ' + loaded['reason']}")
+    print(
+        f"{'C core':17} {loaded['path'] if loaded['available'] else 'none, Python computes: ' + loaded['reason']}"
+    )
     ports = found["serial_ports"]
     print("serial ports:" if ports else "serial ports: none")
     for port in ports:

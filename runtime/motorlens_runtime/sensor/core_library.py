@@ -23,6 +23,8 @@ from typing import Any
 FLAGS = (
     "-std=c99", "-O2", "-ftree-vectorize", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fPIC", "-shared",
 )  # fmt: skip
+# For what is exported: nothing but the language, and the same bits everywhere.
+STRICT_FLAGS = ("-std=c99", "-ffp-contract=off")
 _COMPILE_S = 120.0
 
 real, u8, u16, u32, i32, i64, f64 = (
@@ -41,6 +43,11 @@ def source_folder() -> Path:
 def sources() -> list[Path]:
     """The C files, in order."""
     return sorted(source_folder().glob("*.c"))
+
+
+def compilers() -> list[str]:
+    """The C compilers that are here."""
+    return [path for path in map(shutil.which, ("cc", "gcc", "clang")) if path]
 
 
 @lru_cache(maxsize=1)
@@ -73,7 +80,7 @@ def _core(choice: str) -> Core:
     shipped = source_folder() / f"motorlens-{platform.machine()}.so"
     if shipped.is_file() and (loaded := _loaded(shipped)).library is not None:
         return loaded
-    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    compiler = next(iter(compilers()), None)
     if not sources():
         return Core(None, reason="its sources are not here")
     if compiler is None:

@@ -1,0 +1,137 @@
+"""`motorlens export`: the sensor as C99 computes what the file says, on this machine and on four microcontroller cores."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.sensor_files import write_sensor
+
+from motorlens_firmware_sim import boards
+from motorlens_runtime.cli import main
+from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.sensor.core_library import STRICT_FLAGS, compilers
+from motorlens_runtime.sensor.sensor import load_sensor, scales
+
+SHIPPED = Path(__file__).resolve().parents[2] / "models/sensors"
+needs_compiler = pytest.mark.skipif(
+    not compilers(), reason="no C compiler on this machine (cc, gcc or clang)"
+)
+needs_boards = pytest.mark.skipif(
+    boards.missing_tools() is not None or not compilers(), reason=f"{boards.missing_tools()}"
+)
+
+
+def export(folder, sensor, *more):
+    assert main(["export", str(sensor), "--c", str(folder), *more, "--json", f"{folder}.json"]) == 0
+    return json.loads(Path(f"{folder}.json").read_text())
+
+
+def sources(folder):
+    return sorted(path for path in folder.glob("*.c") if path.name not in ("main.c", "golden_test.c"))
+
+
+@needs_compiler
+@pytest.mark.parametrize("precision", [[], ["--double"]])
+@pytest.mark.parametrize("name", ["mellah2016", "mellah2016_observer", "ambient"])
+def test_what_is_exported_compiles_strictly_and_gives_its_golden_values(name, precision, tmp_path):
+    sensor = SHIPPED / f"{name}.onnx"
+    if name == "ambient":
+        sensor = tmp_path / "s.onnx"
+        write_sensor(sensor, ambient=True)
+    found = export(tmp_path / "c", sensor, *precision)
+    assert found["precision"] == ("double" if precision else "single")
+    assert 0 < found["proof"]["estimate_error"] < 1e-5 and 0 < found["proof"]["sigma_error"] < 1e-4
+    strict = ["-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
+    for program in ("golden_test", "main"):
+        subprocess.run(
+            [compilers()[0], *STRICT_FLAGS, *strict, "-O1", "-o", program, f"{program}.c",
+             *(path.name for path in sources(tmp_path / "c")), "-lm"],
+            cwd=tmp_path / "c", check=True,
+        )  # fmt: skip
+    assert subprocess.run([tmp_path / "c/golden_test"], stdout=subprocess.DEVNULL).returncode == 0
+    text = "\n".join(path.read_text() for path in sources(tmp_path / "c"))
+    assert "malloc" not in text and "printf" not in text
+
+
+@needs_compiler
+def test_the_example_follows_a_stream_as_the_runtime_does(tmp_path):
+    export(tmp_path / "c", SHIPPED / "mellah2016_observer.onnx", "--double", "--name", "winding")
+    subprocess.run(
+        [compilers()[0], *STRICT_FLAGS, "-O2", "-o", "main", "main.c",
+         *(path.name for path in sources(tmp_path / "c")), "-lm"], cwd=tmp_path / "c", check=True,
+    )  # fmt: skip
+    n, rng = 3000, np.random.default_rng(2)
+    time_ns = np.cumsum(rng.choice([1_000_000, 1_000_000, 3_000_000], n))
+    voltage = 120 + 80 * np.sign(np.sin(np.arange(n) / 200)) + rng.normal(size=n)
+    current = 8 + 3 * np.sin(np.arange(n) / 70) + 0.05 * rng.normal(size=n)
+    voltage[500], current[600] = np.nan, 1e30
+    rows = zip((time_ns * 1e-9).tolist(), voltage.tolist(), current.tolist(), strict=True)
+    text = "\n".join(f"{t:.9f},{v!r},{i!r}" for t, v, i in rows)
+    out = subprocess.run([tmp_path / "c/main"], input=text, capture_output=True, text=True, check=True).stdout
+    table = np.array([[float(cell) for cell in line.split(",")] for line in out.splitlines()])
+    sensor = load_sensor(SHIPPED / "mellah2016_observer.onnx", "numpy")
+    expected = Estimator(sensor, 1e-3).push(Samples(time_ns, voltage, current))
+    assert np.array_equal(table[:, -1], expected.quality)
+    assert (
+        np.max(np.abs(table[:, 1:-1:2] - expected.values) / scales(sensor.specification)) < 1e-6
+    )  # it prints 9 digits
+    assert np.max(np.abs(table[:, 2:-1:2] / expected.sigma - 1)) < 1e-6
+
+
+@pytest.fixture(scope="module", params=["mellah2016", "mellah2016_observer"])
+def proven(request, tmp_path_factory):
+    """What the proof says on this PC and on each core, in single precision, with what it costs there."""
+    folder = tmp_path_factory.mktemp("proof")
+    export(folder / "c", SHIPPED / f"{request.param}.onnx")
+    listed = [*sources(folder / "c"), boards.FOLDER / "proof.c"]
+    subprocess.run(
+        [compilers()[0], *STRICT_FLAGS, "-O2", f"-I{folder / 'c'}", "-o", folder / "pc", *listed, "-lm"],
+        check=True,
+    )
+    here = subprocess.run([folder / "pc"], capture_output=True, text=True, check=True).stdout
+    said = {}
+    for board in boards.BOARDS:
+        (folder / board.name).mkdir()
+        program = boards.compile_for(board, listed, folder / board.name / "proof.elf", (f"-I{folder / 'c'}",))
+        text = boards.run_on(board, program)
+        said[board.name] = text, boards.cost_of(text, program)
+    return request.param, here, said
+
+
+@needs_boards
+def test_four_cores_give_the_bits_of_this_pc(proven):
+    _, here, said = proven
+    rows = here.splitlines()
+    assert len(rows) == 41 and rows[-1].startswith("hash ")
+    assert len({row.split(" ", 2)[2] for row in rows[:-1]}) == 40  # it is not one row again and again
+    for name, (text, _) in said.items():
+        assert text.splitlines()[:41] == rows, name
+
+
+@needs_boards
+def test_what_a_core_needs(proven):
+    """Budgets; counted by the emulator, so the same on every machine. The sensor with an observer fits 24 kB and 4 kB."""
+    name, _, said = proven
+    observed = name.endswith("observer")
+    for core, (_, cost) in said.items():
+        print(f"{name} {core}: {cost}")
+        assert cost.memory + cost.stack <= 4096
+        assert cost.update_most >= cost.update > 100 and cost.evaluate > 100
+    cost = said["cortex-m4f"][1]
+    assert cost.flash <= 24 * 1024
+    assert cost.update <= (30_000 if observed else 8_000)
+
+
+def test_what_cannot_be_exported_is_said_in_one_line(tmp_path, capsys):
+    write_sensor(tmp_path / "s.onnx")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    assert main(["export", str(tmp_path / "s.onnx"), "--c", str(tmp_path / "full")]) == 1
+    assert "not empty" in capsys.readouterr().err
+    assert main(["export", str(tmp_path / "s.onnx"), "--c", str(tmp_path / "c"), "--name", "9x"]) == 1
+    assert "--name 9x" in capsys.readouterr().err
+    assert main(["export", str(tmp_path / "absent.onnx"), "--c", str(tmp_path / "c")]) == 1
+    assert not (tmp_path / "c").exists()
