@@ -63,6 +63,7 @@ def pair(request, tmp_path_factory):
     return load_sensor(path, "numpy"), load_sensor(path, "core")
 
 
+@pytest.mark.fit
 @needs_core
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 1500), max_size=8), st.booleans())
@@ -87,6 +88,7 @@ def test_the_core_gives_words_and_states_of_python_to_the_bit(pair, seed, edges,
     assert third.state.gate == a.gate and np.array_equal(third.state.bank.within, a.bank.within)
 
 
+@pytest.mark.fit
 @needs_core
 def test_estimates_to_rounding_on_a_duty_cycle(pair):
     python, core = pair
@@ -134,6 +136,7 @@ def test_time_backwards_leaves_the_state(pair):
     assert after.gate == before.gate and np.array_equal(after.bank.within, before.bank.within)
 
 
+@pytest.mark.fit
 @needs_core
 def test_each_operation_of_an_observer_as_python_computes_it():
     """Random programs over awkward numbers: the register machine against the function that Python compiles."""
@@ -217,6 +220,7 @@ def test_a_sensor_beyond_its_room_or_functions_is_left_to_python(tmp_path):
     assert load_sensor(tmp_path / "large.onnx").backend.name == "numpy"
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("single", [False, True])
 def test_no_warning_of_a_strict_compiler(compiler, single, tmp_path):

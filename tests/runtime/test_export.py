@@ -33,6 +33,7 @@ def sources(folder):
     return sorted(path for path in folder.glob("*.c") if path.name not in ("main.c", "golden_test.c"))
 
 
+@pytest.mark.fit
 @needs_compiler
 @pytest.mark.parametrize("precision", [[], ["--double"]])
 @pytest.mark.parametrize("name", ["mellah2016", "mellah2016_observer", "ambient"])
@@ -56,6 +57,7 @@ def test_what_is_exported_compiles_strictly_and_gives_its_golden_values(name, pr
     assert "malloc" not in text and "printf" not in text
 
 
+@pytest.mark.fit
 @needs_compiler
 def test_the_example_follows_a_stream_as_the_runtime_does(tmp_path):
     export(tmp_path / "c", SHIPPED / "mellah2016_observer.onnx", "--double", "--name", "winding")
@@ -101,6 +103,7 @@ def proven(request, tmp_path_factory):
     return request.param, here, said
 
 
+@pytest.mark.fit
 @needs_boards
 def test_four_cores_give_the_bits_of_this_pc(proven):
     _, here, said = proven
@@ -111,6 +114,7 @@ def test_four_cores_give_the_bits_of_this_pc(proven):
         assert text.splitlines()[:41] == rows, name
 
 
+@pytest.mark.fit
 @needs_boards
 def test_what_a_core_needs(proven):
     """Budgets; counted by the emulator, so the same on every machine. The sensor with an observer fits 24 kB and 4 kB."""

@@ -3,7 +3,7 @@
 A folder that compiles with any C99 compiler: the sensor's tables, the estimator, an example and a test with golden values,
 which is run at once where there is a compiler. No allocation, no globals.
 
-example: motorlens export models/sensors/mellah2016.onnx --c sensor_c
+example: motorlens export mellah2016 --c sensor_c
 """
 
 import argparse
@@ -13,7 +13,9 @@ from motorlens_runtime.cli import add_json_argument, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("sensor", metavar="SENSOR.onnx", type=Path)
+    parser.add_argument(
+        "sensor", metavar="SENSOR", type=Path, help="a sensor file, or the name of a shipped one"
+    )
     parser.add_argument("--c", required=True, metavar="DIR", type=Path, help="a new folder for the C files")
     parser.add_argument(
         "--double", action="store_true", help="the network in double precision, too (default: single)"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from motorlens_runtime.errors import DataError, ModelError
+from motorlens_runtime.files.shipped import sensor_path
 from motorlens_runtime.sensor.c_source import Golden, core_files, written
 from motorlens_runtime.sensor.core_library import STRICT_FLAGS, compilers
 from motorlens_runtime.sensor.folded import fold
@@ -72,6 +73,7 @@ def export_c(path: Path, folder: Path, single: bool, name: str) -> dict[str, Any
 
 def exported(path: Path, single: bool) -> tuple[Sensor, Tables, Golden]:
     """A verified sensor, its tables and its golden sequence. Raises ModelError if it is not usable."""
+    path = sensor_path(path)
     sensor = load_sensor(path, "numpy")
     model = parse(path.read_bytes(), str(path))
     tables = tables_of(

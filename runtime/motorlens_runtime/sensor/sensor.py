@@ -55,15 +55,9 @@ def load_sensor(path: str | Path, backend: str = "auto") -> Sensor:
     """Load and verify a sensor.
 
     Args:
-<<<<<<< HEAD
         path: the core graph, `NAME.onnx`, or the name of a shipped sensor.
-        backend: "onnxruntime", "numpy", or "auto": numpy, which is the faster for so small a network, checked against
-            onnxruntime where that is installed.
-=======
-        path: the core graph, `NAME.onnx`.
         backend: one of `BACKENDS`; "auto" is the C core, or numpy where there is none, checked against onnxruntime where
             that is installed.
->>>>>>> 6fa6fb3 (The core in C99: gate, filters, observer and network as Python computes them, to the bit where it remembers; infer and run use it where there is a compiler)
 
     Raises:
         ModelError: the file is absent, damaged, altered, of an unknown kind, or does not give its golden values.

@@ -13,7 +13,6 @@ OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card with the
 """
 
 import argparse
-import re
 from dataclasses import asdict
 from pathlib import Path
 
@@ -44,7 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--iterations", type=int, default=120, metavar="N", help="at most (default: 120)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (default: 1)")
-    parser.add_argument("--c-header", metavar="FILE.h", help="also write the sensor as a C99 header")
     parser.add_argument("--checkpoint", metavar="FILE", help="write training's state here, and go on from it")
     add_json_argument(parser)
 
@@ -96,13 +94,6 @@ def run(arguments: argparse.Namespace) -> int:
         card["paper"] = asdict(paper_of(Path(arguments.motor), material.recipe, arguments.noise))
     write_sensor(built.sensor, card, golden(built.sensor), output)
     write_card(built, card, material, output.with_suffix(".md"))
-    if arguments.c_header:
-        from motorlens_train.c_header import c_header
-
-        name = re.sub(r"\W", "_", output.stem)
-        Path(arguments.c_header).write_text(
-            c_header(built.sensor, f"s_{name}" if name[:1].isdigit() else name), encoding="utf-8"
-        )
     print(
         f"{output}: {card['network']}, {card['parameters']} parameters, {output.stat().st_size / 1000:.1f} kB"
     )
