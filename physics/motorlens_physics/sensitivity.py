@@ -12,13 +12,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from motorlens_physics.compile.types import Variations
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
 from motorlens_physics.simulation import TOLERANCE, Array, Inputs, Trajectory, initial_states, run, structure
-from motorlens_physics.symbols import MASSES, forcing_keys, parameter_keys, switch_key
+from motorlens_physics.symbols import INPUT_KEYS, forcing_keys, parameter_keys, switch_key
 from motorlens_runtime.errors import ModelError
 
 INITIAL = "initial."
+# Constants added to a current and to a speed that are imposed.
+IMPOSED_KEYS = ("input.current", "input.speed")
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class Linearisation:
 
     Attributes:
         states: names of the n states.
-        matrices: (N - 1, n, 3 n): from sample k to k + 1, Phi and the Gammas of a forcing at the one and at the other.
+        matrices: (N - 1, n, n + 6): from sample k to k + 1, Phi and the Gammas of forcings of the three balances at
+            the one and at the other.
     """
 
     states: tuple[str, ...]
@@ -99,7 +103,7 @@ def linearise_and_differentiate(
         ModelError: as `sensitivities`.
     """
     n, steps = len(motor.states()), inputs.time_s.size - 1
-    matrices = np.empty((max(steps, 1), n, 3 * n))[:steps]
+    matrices = np.empty((max(steps, 1), n, n + 6))[:steps]
     trajectory, kept = _forward(motor, inputs, initial, keys, (), tolerance, smooth, matrices, most_steps)
     linear = Linearisation(tuple(trajectory.states), matrices)
     return trajectory, _by_key(keys, trajectory, kept), linear
@@ -123,14 +127,16 @@ def sensitivities(
         inputs: what acts on it.
         initial: initial states, as of `simulate`.
         keys: parameters of the motor ("R_a0", "coulomb_friction.tau_c"), initial states ("initial.theta") and constants
-            added to the inputs ("input.voltage", "input.load_torque", "input.ambient").
+            added to the inputs ("input.voltage", "input.load_torque", "input.ambient", and where they are imposed
+            "input.current" and "input.speed").
         candidates: effects that the motor lacks, with their shapes chosen; their switches are taken at null.
         tolerance: of the simulation's steps.
         smooth: whether friction is smooth, see `simulate`.
         most_steps: how many steps may be tried, see `simulate`.
 
     Returns:
-        The trajectory, and for each key and each candidate's "name.switch" a mapping of state to (N,).
+        The trajectory, and for each key and each candidate's "name.switch" a mapping of state to (N,); also of "v", the
+        voltage at the terminals, where anything is imposed (see `Inputs.terminal`).
 
     Raises:
         ModelError: an unknown or fixed parameter, a candidate that the motor has already, or as `simulate`.
@@ -146,9 +152,8 @@ def sensitivities(
 
 
 def _by_key(keys: Sequence[str], trajectory: Trajectory, kept: Array) -> dict[str, dict[str, Array]]:
-    return {
-        key: {name: kept[:, r, j] for r, name in enumerate(trajectory.states)} for j, key in enumerate(keys)
-    }
+    rows = [*trajectory.states, *(() if trajectory.shown_V is None else ("v",))]
+    return {key: {name: kept[:, r, j] for r, name in enumerate(rows)} for j, key in enumerate(keys)}
 
 
 def _forward(
@@ -166,9 +171,14 @@ def _forward(
     x = initial_states(replace(motor, effects=(*motor.effects, *candidates)), system, initial)
     n, samples = system.of_motor, inputs.time_s.size
     own = list(system.states[:n])
-    parameters = [key for key in keys if not key.startswith(INITIAL)]
-    starts = [key for key in keys if key.startswith(INITIAL)]
-    _check(motor, candidates, parameters, [key.removeprefix(INITIAL) for key in starts])
+    starts = [key for key in keys if key.startswith(INITIAL) or key in IMPOSED_KEYS]
+    parameters = [key for key in keys if key not in starts]
+    _check(
+        motor,
+        candidates,
+        parameters,
+        [key.removeprefix(INITIAL) for key in starts if key not in IMPOSED_KEYS],
+    )
     forced = [*parameters, *(switch_key(effect) for effect in candidates)]
     order = [*forced, *starts]
     available = forcing_keys(motor, candidates)
@@ -176,24 +186,22 @@ def _forward(
     place = {key: k for k, key in enumerate(forced)}
     slots = np.array([place.get(key, len(forced)) for key in available], dtype=np.int64)
 
-    masses = np.array([getattr(motor, MASSES[name]) if name in MASSES else 1.0 for name in own])
-    S = np.zeros((n, len(order)))
+    columns, extra = len(order), n + 6 if matrices.size else 0
+    S = np.zeros((n, columns + extra))
     for k, key in enumerate(starts, start=len(forced)):
-        S[own.index(key.removeprefix(INITIAL)), k] = 1.0
-    kept = np.empty((samples, n, len(order))) if order else np.empty((0, 0, 0))
-    if order:
-        kept[0] = S
-    total = np.zeros((2, n, 3 * n) if matrices.size else (0, 0, 0))
-    work = (
-        np.zeros((5, n, n)), np.zeros((3, n, len(forced) + 1)), np.zeros((7, n, 4 * n)), np.zeros((n, 4 * n)), slots,
-        np.zeros(S.shape), total, masses,
+        if key.startswith(INITIAL):
+            S[own.index(key.removeprefix(INITIAL)), k] = 1.0
+    imposed = any(how is not None and how.any() for how in (inputs.terminal, inputs.shaft))
+    kept = np.empty((samples, n + imposed, columns)) if order else np.empty((0, 0, 0))
+    beside = [order.index(key) if key in order else -1 for key in (INPUT_KEYS[0], *IMPOSED_KEYS)]
+    variations = Variations(
+        S=S, kept=kept, matrices=matrices, slots=slots, beside=np.array(beside, dtype=np.int64),
+        a=np.zeros((3, n, n)), g=np.zeros((3, n, len(forced) + 1)), over=np.zeros((n, 4 * n)), T=np.zeros(S.shape),
     )  # fmt: skip
-    out = np.empty((samples, len(system.states)))
-    taken = run(
-        system, code, motor, inputs, x, out, tolerance=tolerance, smooth=smooth, candidates=candidates,
-        workspace=(S, work, kept, matrices), most_steps=most_steps,
+    trajectory = run(
+        system, code, motor, inputs, x, tolerance=tolerance, smooth=smooth, candidates=candidates,
+        variations=variations, most_steps=most_steps,
     )  # fmt: skip
-    trajectory = Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(own)}, taken)
     asked = [*keys, *(switch_key(effect) for effect in candidates)]
     if asked == order:
         return trajectory, kept
@@ -224,7 +232,7 @@ def _respond_plain(matrices: Array, forcing: Array, hold: NDArray[np.bool_]) -> 
                 for j in range(columns):
                     response[k + 1, r, j] += phi * response[k, c, j]
             for c in range(3):
-                first, last = matrices[k, r, n + c], matrices[k, r, 2 * n + c]
+                first, last = matrices[k, r, n + c], matrices[k, r, n + 3 + c]
                 later = k if hold[c] else k + 1
                 for j in range(columns):
                     response[k + 1, r, j] += first * forcing[k, c, j] + last * forcing[later, c, j]

@@ -13,12 +13,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.compile import Compiled, compiled
+from motorlens_physics.compile.types import (
+    ACCEPTED,
+    ALLOWED,
+    IMPOSES_CURRENT,
+    IMPOSES_SPEED,
+    REJECTED,
+    SHORTS,
+    SLOPES,
+    Course,
+    Given,
+    Variations,
+)  # fmt: skip
+from motorlens_physics.conditions import Shaft, Terminal, codes
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
 from motorlens_physics.symbols import System, in_order, parameter_values, trace
@@ -31,25 +43,11 @@ TOLERANCE = 1e-6
 # how many beside. A sample in which everything settles anew takes 35 or so whatever the time constants
 # (`benchmarks/bounded.py`), so a motor that needs more oscillates faster than the samples show.
 STEPS_A_SAMPLE, STEPS_BESIDE = 100, 10_000
-# Where the loop keeps its counts, see `compile.loop.integrate`.
-_ACCEPTED, _REJECTED, _ALLOWED = 1, 2, 3
-_EMPTY = np.zeros((0, 0, 0))
-# Where sensitivities would go: S, what they are worked out in, S at each sample, matrices of each sample.
-_NOTHING = (
-    np.zeros((0, 0)),
-    (
-        _EMPTY,
-        _EMPTY,
-        _EMPTY,
-        np.zeros((0, 0)),
-        np.zeros(0, dtype=np.int64),
-        np.zeros((0, 0)),
-        _EMPTY,
-        np.zeros(0),
-    ),
-    _EMPTY,
-    _EMPTY,
-)
+_NO_MATRIX, _NO_CUBE, _NO_INDEX = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, dtype=np.int64)
+_NOTHING = Variations(
+    S=_NO_MATRIX, kept=_NO_CUBE, matrices=_NO_CUBE, slots=_NO_INDEX, beside=_NO_INDEX, a=_NO_CUBE, g=_NO_CUBE,
+    over=_NO_MATRIX, T=_NO_MATRIX,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,6 +61,10 @@ class Inputs:
         ambient_C: ambient temperature.
         held: whether the values hold until the next sample (a drive's output) or run linearly to it: of all, or of voltage,
             load torque and ambient each.
+        terminal: (N,) of `Terminal`; None: driven throughout. The voltage is that of samples where they are driven.
+        shaft: (N,) of `Shaft`; None: free throughout.
+        current_A: (N,) what a current-controlled drive imposes; held or linear as the voltage would be.
+        speed_rad_s: (N,) what a driven shaft imposes; linear.
     """
 
     time_s: Array
@@ -70,9 +72,15 @@ class Inputs:
     load_torque_Nm: Array
     ambient_C: Array
     held: bool | tuple[bool, bool, bool] = False
+    terminal: NDArray[np.int64] | None = None
+    shaft: NDArray[np.int64] | None = None
+    current_A: Array | None = None
+    speed_rad_s: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("time_s", "voltage_V", "load_torque_Nm", "ambient_C"):
+        self._check_conditions()
+        given = [name for name in ("current_A", "speed_rad_s") if getattr(self, name) is not None]
+        for name in ("time_s", "voltage_V", "load_torque_Nm", "ambient_C", *given):
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             object.__setattr__(self, name, values)
             if values.shape != self.time_s.shape or values.ndim != 1:
@@ -89,6 +97,21 @@ class Inputs:
         if self.time_s.size == 0:
             raise DataError("inputs: no samples")
 
+    def _check_conditions(self) -> None:
+        for name, kind, imposed, by in (
+            ("terminal", Terminal, "current_A", Terminal.CURRENT),
+            ("shaft", Shaft, "speed_rad_s", Shaft.DRIVEN),
+        ):
+            values = getattr(self, name)
+            if values is None:
+                continue
+            given = codes(kind, values, f"inputs: {name}")
+            object.__setattr__(self, name, given)
+            if given.shape != np.shape(self.time_s):
+                raise DataError(f"inputs: {name} has shape {given.shape}, time_s has {np.shape(self.time_s)}")
+            if (given == by).any() and getattr(self, imposed) is None:
+                raise DataError(f"inputs: {name} is {by.name.lower()}, but {imposed} is not given")
+
     @property
     def hold(self) -> tuple[bool, bool, bool]:
         """Whether voltage, load torque and ambient hold between samples, each."""
@@ -104,12 +127,19 @@ class Trajectory:
         inputs: what acted on it.
         states: "i" (A), "w" (rad/s), "theta" (K) and those of effects, each (N,), at each sample.
         steps: how many steps were tried, rejected ones included: what it cost.
+        shown_V: (N,) voltage at the terminals where anything is imposed on the motor, else None.
     """
 
     motor: Motor
     inputs: Inputs
     states: Mapping[str, Array]
     steps: int = 0
+    shown_V: Array | None = None
+
+    @property
+    def voltage_V(self) -> Array:
+        """Voltage at the terminals: what drives them, or what open ones and those of a current-controlled drive show."""
+        return self.inputs.voltage_V if self.shown_V is None else self.shown_V
 
     @property
     def current_A(self) -> Array:
@@ -163,11 +193,7 @@ def simulate(
     """
     system, code = structure(motor)
     states = initial_states(motor, system, initial)
-    out = np.empty((inputs.time_s.size, states.size))
-    taken = run(
-        system, code, motor, inputs, states, out, tolerance=tolerance, smooth=smooth, most_steps=most_steps
-    )
-    return Trajectory(motor, inputs, {name: out[:, j] for j, name in enumerate(system.states)}, taken)
+    return run(system, code, motor, inputs, states, tolerance=tolerance, smooth=smooth, most_steps=most_steps)
 
 
 def simulate_batch(
@@ -212,11 +238,11 @@ class Stepper:
         self._system, self._motor_code = structure(motor)
         self._x = initial_states(motor, self._system, initial)
         self._parameters = np.array(parameter_values(motor), dtype=np.float64)
-        self._carry = np.array([np.inf, 0.0, 0.0, 0.0])
-        self._time = np.zeros(2)
-        self._inputs = np.zeros((2, 3))
-        self._out = np.empty((2, self._x.size))
+        self._acting = np.zeros((2, 10))
+        self._given = Given(np.zeros(2), self._acting, _NO_INDEX, False, self._parameters)
         self._scale = np.maximum(_scales(motor, self._system, np.zeros((1, 3)), self._x), 1e-3)
+        self._course = Course(self._x, np.array([np.inf, 0.0, 0.0, 0.0]), tolerance * self._scale, tolerance)
+        self._out = np.empty((2, self._x.size))
         self._motor, self._tolerance = motor, tolerance
 
     @property
@@ -230,18 +256,18 @@ class Stepper:
         Raises:
             ModelError: an input that is not finite, or an integration that fails.
         """
-        time = self._time
+        time, course = self._given.time, self._course
         time[0], time[1] = time[1], time[1] + dt
-        self._inputs[:] = voltage, load, ambient
-        self._scale = np.maximum(self._scale, _scales(self._motor, self._system, self._inputs, self._x))
-        self._carry[_ALLOWED] = STEPS_BESIDE
-        failed = self._motor_code(
-            time, self._inputs, 0b111, False, self._parameters, self._x, self._carry, self._tolerance * self._scale,
-            self._tolerance, self._out, *_NOTHING,
-        )  # fmt: skip
+        self._acting[:, :3] = voltage, load, ambient
+        self._scale = np.maximum(
+            self._scale, _scales(self._motor, self._system, self._acting[:, :3], self._x)
+        )
+        course.atol[:] = self._tolerance * self._scale
+        course.carry[ALLOWED] = STEPS_BESIDE
+        failed = self._motor_code(self._given, course, self._out, _NOTHING)
         if failed >= 0:
             inputs = Inputs(time, np.full(2, voltage), np.full(2, load), np.full(2, ambient), held=True)
-            exhausted = self._carry[_ALLOWED] < 0
+            exhausted = course.carry[ALLOWED] < 0
             raise ModelError(_failure(self._motor, self._system, inputs, 0, self._x, exhausted))
         return self.states
 
@@ -277,18 +303,14 @@ def run(
     motor: Motor,
     inputs: Inputs,
     x: Array,
-    out: Array,
     *,
     tolerance: float,
     smooth: bool,
     candidates: Sequence[Effect] = (),
-    workspace: tuple[Any, ...] = _NOTHING,
+    variations: Variations = _NOTHING,
     most_steps: int | None = None,
-) -> int:
-    """Integrate into `out` (N, n) from the states x; `workspace` is what the sensitivities need.
-
-    Returns:
-        How many steps were tried.
+) -> Trajectory:
+    """Integrate from the states x; sensitivities are carried along into `variations`.
 
     Raises:
         ModelError: a parameter that is not finite or not positive where it must be, or an integration that fails.
@@ -299,19 +321,58 @@ def run(
     for name in ("R_a0", "J", "H"):
         if getattr(motor, name) <= 0:
             raise ModelError(f"{name} = {getattr(motor, name):g}: must be positive")
-    stacked = np.column_stack([inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C])
-    atol = tolerance * _scales(motor, system, stacked, x)
-    out[0] = x
-    allowed = STEPS_A_SAMPLE * len(out) + STEPS_BESIDE if most_steps is None else most_steps
-    carry = np.array([np.inf, 0.0, 0.0, allowed], dtype=np.float64)
-    held = sum(1 << j for j, holds in enumerate(inputs.hold) if holds)
-    failed = code(
-        inputs.time_s, stacked, held, smooth, parameters, x.copy(), carry, atol, tolerance,
-        out, *workspace,
-    )  # fmt: skip
+    acting, imposed = _acting(inputs)
+    size = _scales(motor, system, acting[:, :3], np.concatenate([np.abs(acting[:, 6:8]).max(axis=0), x[2:]]))
+    size = np.maximum(size, _scales(motor, system, acting[:, :3], x))
+    samples = inputs.time_s.size
+    out = np.empty((samples, x.size + (imposed.size > 0)))
+    allowed = STEPS_A_SAMPLE * samples + STEPS_BESIDE if most_steps is None else most_steps
+    course = Course(
+        x.copy(), np.array([np.inf, 0.0, 0.0, allowed], dtype=np.float64), tolerance * size, tolerance
+    )
+    out[0, : x.size] = x
+    failed = code(Given(inputs.time_s, acting, imposed, smooth, parameters), course, out, variations)
     if failed >= 0:
-        raise ModelError(_failure(motor, system, inputs, failed, out[failed], carry[_ALLOWED] < 0))
-    return int(carry[_ACCEPTED] + carry[_REJECTED])
+        raise ModelError(
+            _failure(motor, system, inputs, failed, out[failed, : x.size], course.carry[ALLOWED] < 0)
+        )
+    states = {name: out[:, j] for j, name in enumerate(system.states[: system.of_motor])}
+    steps = int(course.carry[ACCEPTED] + course.carry[REJECTED])
+    return Trajectory(motor, inputs, states, steps, out[:, -1] if imposed.size else None)
+
+
+def _acting(inputs: Inputs) -> tuple[Array, NDArray[np.int64]]:
+    """What acts on the motor from each sample on, and what is imposed, see `compile.types.Given`."""
+    samples, spans = inputs.time_s.size, np.diff(inputs.time_s)
+    acting = np.zeros((samples, 10))
+
+    def put(value: int, slope: int, y: Array, runs: NDArray[np.bool_] | bool) -> None:
+        acting[:, value] = y
+        if samples > 1:
+            acting[:-1, slope] = np.where(runs, np.diff(y) / spans, 0.0)
+            acting[-1, slope] = acting[-2, slope]
+
+    held = inputs.hold
+    for j, y in enumerate((inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C)):
+        put(j, SLOPES + j, y, not held[j])
+    terminal = np.zeros(samples, dtype=np.int64) if inputs.terminal is None else inputs.terminal
+    shaft = np.zeros(samples, dtype=np.int64) if inputs.shaft is None else inputs.shaft
+    for j, (how, by, y, runs) in enumerate(
+        (
+            (terminal, Terminal.CURRENT, inputs.current_A, not held[0]),
+            (shaft, Shaft.DRIVEN, inputs.speed_rad_s, True),
+        )
+    ):
+        given = how == by
+        if y is not None and given.any():
+            put(6 + j, 8 + j, np.where(given, y, 0.0), given[:-1] & given[1:] & runs)
+    acting[(terminal == Terminal.SHORTED)[:, None] & np.isin(np.arange(10), (0, SLOPES))] = 0.0
+    imposed = (
+        IMPOSES_CURRENT * np.isin(terminal, (Terminal.OPEN, Terminal.CURRENT))
+        + IMPOSES_SPEED * np.isin(shaft, (Shaft.LOCKED, Shaft.DRIVEN))
+        + SHORTS * (terminal == Terminal.SHORTED)
+    )
+    return acting, imposed.astype(np.int64) if imposed.any() else _NO_INDEX
 
 
 def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:

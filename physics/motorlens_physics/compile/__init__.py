@@ -22,15 +22,21 @@ import sympy as sp
 
 from motorlens_physics.compile import loop, types, variational
 from motorlens_physics.compile.native import native
-from motorlens_physics.compile.rodas import ALPHA, GAMMA, GAMMAS, A, C, jacobian_of, step_source
+from motorlens_physics.compile.rodas import jacobian_of, step_source
 from motorlens_physics.symbols import INPUTS, LOAD, SIDE, System, named
 
 _LINEAR = "linear(x, p, t, u, ahead, side, slots, a, g)"
-_HEAD = inspect.getsource(types)
+_TRANSFER = "transfer(p, h, flow, a, over)"
+_PROPAGATE = "propagate(linear, transfer, x, p, t, u, h, side, go, y, z, begin, end, to)"
 _SIGNATURES = {
-    name: getattr(types, f"of_{name}") for name in ("step", "rest", "torque", "linear", "propagate")
+    name: getattr(types, f"of_{name}")
+    for name in ("step", "rest", "balance", "linear", "transfer", "propagate")
 }
-_PROPAGATE = "propagate(linear, x, p, t, u, h, side, go, y, z, begin, end, S, work)"
+# The types are part of what is compiled: other types, another file.
+_HEAD = (
+    f"# {hashlib.sha256(inspect.getsource(types).encode()).hexdigest()}\n"
+    "from motorlens_physics.compile.types import *\n"
+)
 
 
 @dataclass(frozen=True)
@@ -56,22 +62,25 @@ def compiled(system: System) -> Compiled:
 
 
 def source(system: System) -> str:
-    """The generated source of a system: `step`, `rest`, `torque` and `linear`, with the arguments used in `loop`.
+    """The generated source of a system, with the arguments used in `loop` and `variational`.
 
-    step: one step of length h from x; y the new state, e the estimate of its error, z the state in the middle. u holds
-    voltage, load torque and ambient at t and, behind them, their slopes.
+    step: one step of length h from x; y the new state, e the estimate of its error, z the state in the middle. u is what
+    acts at t, see `types`.
     rest: torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead.
-    torque: right-hand side of the mechanical balance.
+    balance: right-hand sides of the electrical and the mechanical balance.
     linear: Jacobian a (n, n) of the motor's own balances and forcings g (n, columns), the k-th going to column slots[k].
+    transfer: see `variational.transfer_source`.
     propagate: nothing, in the place of `variational`.
     """
+    forced = bool(system.forcings)
     functions = [
         _balances(system),
         _linearised(system),
         _function("step(x, p, t, u, h, side, go, y, e, z)", step_source(system)),
         _rest(system),
-        _torque(system),
-        _linear(system) if system.forcings else _function(_LINEAR, ["pass"]),
+        _balance(system),
+        _linear(system) if forced else _function(_LINEAR, ["pass"]),
+        _function(_TRANSFER, variational.transfer_source(system) if forced else ["pass"]),
         # Without forcings there is nothing to propagate; with them, it is the same for all structures.
         _function(_PROPAGATE, ["pass"]),
     ]
@@ -93,14 +102,7 @@ def _constants() -> list[str]:
     return [
         f"SHRINK, GROW, SAFETY, OPENING = {loop.SHRINK}, {loop.GROW}, {loop.SAFETY}, {loop.OPENING}",
         f"LOCATED, INDUCTANCE = {loop.LOCATED}, {loop.INDUCTANCE}",
-        f"SPEED, GAMMA = {loop.SPEED}, {GAMMA}",
-        *(f"{name} = np.array({_square(rows)})" for name, rows in {"A": A, "C": C}.items()),
-        *(f"{name} = np.array({row})" for name, row in {"ALPHA": ALPHA, "GAMMAS": GAMMAS}.items()),
     ]
-
-
-def _square(rows: Sequence[Sequence[float]]) -> list[list[float]]:
-    return [[*row, *[0.0] * (len(rows) - len(row))] for row in rows]
 
 
 def _arguments(system: System) -> str:
@@ -171,9 +173,10 @@ def _linear(system: System) -> str:
     return _function(_LINEAR, lines)
 
 
-def _torque(system: System) -> str:
-    lines = [*_at(system), *_assigned({"torque": system.balances[system.states.index("w")]}, system)]
-    return _function("torque(x, p, t, u, ahead, side)", [*lines, "return torque"])
+def _balance(system: System) -> str:
+    outputs = {"electrical": system.balances[types.CURRENT], "mechanical": system.balances[types.SPEED]}
+    lines = [*_at(system), *_assigned(outputs, system), "return electrical, mechanical"]
+    return _function("balance(x, p, t, u, ahead, side)", lines)
 
 
 def _at(system: System) -> list[str]:

@@ -4,6 +4,9 @@ This is ordinary Python that `compile` copies, below the line, into the module i
 in as a function, so the loop is compiled once for all motors. Arrays are copied element by element: numba takes seconds to
 compile the checks and messages of a slice assignment.
 
+A current or a speed may be imposed instead (a current-controlled drive, an open terminal; a locked shaft): its state is set
+at the sample and follows its slope, its equation is left out, and nothing breaks away.
+
 At rest the load and the friction are sets: the load is a brake that holds with up to its torque either way, and stiction
 with up to its own. The rotor rests while they can balance the motor's torque, so a load never drives a resting rotor and
 a resting rotor does not drift. A step in which the speed passes through zero is cut there, and a resting rotor breaks away
@@ -15,6 +18,23 @@ from typing import Any
 
 import numpy as np
 
+from motorlens_physics.compile.types import (
+    ACCEPTED,
+    ACTING,
+    ALLOWED,
+    CURRENT,
+    IMPOSED,
+    IMPOSED_SLOPES,
+    IMPOSES_CURRENT,
+    IMPOSES_SPEED,
+    REJECTED,
+    SHORTED,
+    SHORTS,
+    SLOPES,
+    SPEED,
+    TRIAL,
+)  # fmt: skip
+
 Vector = Any
 # Length of an accepted step may shrink and grow by no more than this.
 SHRINK, GROW, SAFETY = 0.2, 6.0, 0.9
@@ -22,8 +42,8 @@ SHRINK, GROW, SAFETY = 0.2, 6.0, 0.9
 OPENING = 2.0
 # Instants at which the rotor stops or breaks away are located to this share of a step.
 LOCATED = 1e-9
-# Where L stands among the parameters, and w among the states.
-INDUCTANCE, SPEED = 1, 1
+# Where L stands among the parameters.
+INDUCTANCE = 1
 
 
 # ---- compiled from here on ----
@@ -45,31 +65,82 @@ def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> floa
     return worst
 
 
-def copy(this: Vector, there: Vector) -> None:
-    """Copy a matrix element by element."""
-    for r in range(this.shape[0]):
-        for c in range(this.shape[1]):
-            there[r, c] = this[r, c]
+def act(given: Any, k: int, u: Vector) -> None:
+    """Put into u what acts from sample k on, at its begin."""
+    for j in range(IMPOSED):
+        u[j] = given.acting[k, j]
+    # The values of what is imposed are those of the state.
+    u[IMPOSED_SLOPES], u[IMPOSED_SLOPES + 1] = given.acting[k, 8], given.acting[k, 9]
+    how = given.imposed[k] if given.imposed.size > 0 else 0
+    u[IMPOSED + CURRENT] = 1.0 if how & IMPOSES_CURRENT else 0.0
+    u[IMPOSED + SPEED] = 1.0 if how & IMPOSES_SPEED else 0.0
+    u[SHORTED] = 1.0 if how & SHORTS else 0.0
 
 
-def begin(total: Vector) -> None:
-    """Set the matrices of a sample (see `variational`) to those of no time."""
-    if total.size > 0:
-        for r in range(total.shape[1]):
-            for c in range(total.shape[2]):
-                total[0, r, c] = 1.0 if r == c else 0.0
+def impose(given: Any, k: int, u: Vector, x: Vector, to: Any) -> None:
+    """Set the states that are imposed from sample k on; they answer to nothing but a constant added to them."""
+    for state in range(2):
+        if u[IMPOSED + state] != 0.0:
+            x[state] = given.acting[k, 6 + state]
+            if to.S.size > 0:
+                for j in range(to.S.shape[1]):
+                    to.S[state, j] = 0.0
+                if to.beside[1 + state] >= 0:
+                    to.S[state, to.beside[1 + state]] = 1.0
 
 
-def turn(ratio: float, S: Vector, total: Vector) -> None:
+def terminal(
+    balance: Any, linear: Any, x: Vector, p: Vector, t: float, u: Vector, to: Any, slopes: Vector
+) -> float:
+    """The voltage at the terminals, and its sensitivities into `slopes` if there are any."""
+    if u[IMPOSED + CURRENT] == 0.0:
+        for j in range(slopes.size):
+            slopes[j] = 1.0 if j == to.beside[0] and u[SHORTED] == 0.0 else 0.0
+        return u[0]
+    side = 0.0
+    if x[SPEED] != 0.0:
+        side = 1.0 if x[SPEED] > 0.0 else -1.0
+    # The electrical balance, solved for the voltage by Newton's method; all but a bridge's effects are linear in it.
+    induced, volts, per_volt = p[INDUCTANCE] * u[IMPOSED_SLOPES], u[0], 1.0
+    u[0] = 0.0
+    for _ in range(20):
+        missing, _ = balance(x, p, t, u, 0.0, side)
+        before, away = u[0], 1e-3 * max(abs(u[0]), 1.0)
+        u[0] = before + away
+        further, _ = balance(x, p, t, u, 0.0, side)
+        per_volt = (further - missing) / away
+        u[0] = before - (missing - induced) / per_volt
+        if abs(u[0] - before) <= 1e-12 * max(abs(u[0]), 1e-3):
+            break
+    found = u[0]
+    if slopes.size > 0:
+        forced = to.g.shape[2] - 1
+        linear(x, p, t, u, 0.0, side, to.slots, to.a[0], to.g[0])
+        for j in range(slopes.size):
+            change = to.g[0, CURRENT, j] if j < forced and j != to.beside[0] else 0.0
+            for c in range(to.S.shape[0]):
+                change += to.a[0, CURRENT, c] * to.S[c, j]
+            slopes[j] = -change / per_volt
+    u[0] = volts
+    return found
+
+
+def begin(S: Vector) -> None:
+    """Set the unit perturbations of a sample (see `Variations`) to those of no time."""
+    n = S.shape[0]
+    first = S.shape[1] - n - 6
+    for r in range(n):
+        for c in range(n + 6):
+            S[r, first + c] = 1.0 if r == c else 0.0
+
+
+def turn(ratio: float, S: Vector) -> None:
     """The speed passes through zero: its acceleration jumps by this ratio, and so does the sensitivity of the speed.
 
     Saltation, Leine and Nijmeijer (2004), Dynamics and Bifurcations of Non-Smooth Mechanical Systems, section 7.3.
     """
     for j in range(S.shape[1]):
         S[SPEED, j] *= ratio
-    if total.size > 0:
-        for c in range(total.shape[2]):
-            total[0, SPEED, c] *= ratio
 
 
 def stop(
@@ -143,66 +214,88 @@ def hold(
     return after
 
 
-def integrate(
-    step: Any, rest: Any, torque: Any, linear: Any, propagate: Any, time: Vector, inputs: Vector, held: int, smooth: bool,
-    p: Vector, x: Vector, carry: Vector, atol: Vector, rtol: float, out: Vector,
-    S: Vector, work: Any, kept: Vector, matrices: Vector,
-) -> int:  # fmt: skip
-    """Fill out[1:] from the state x at time[0]; return -1, or the sample where no step was small enough or none is left.
+def show(
+    balance: Any, linear: Any, given: Any, k: int, u: Vector, x: Vector, out: Vector, to: Any, slopes: Vector
+) -> None:
+    """Write down sample k: the states, the terminal voltage where anything is imposed, and the sensitivities of both."""
+    n, asked = to.S.shape[0], to.kept.shape[2]
+    for j in range(x.size):
+        out[k, j] = x[j]
+    if given.imposed.size > 0:
+        out[k, x.size] = terminal(balance, linear, x, given.p, given.time[k], u, to, slopes)
+    if to.kept.size > 0:
+        for r in range(n):
+            for j in range(asked):
+                to.kept[k, r, j] = to.S[r, j]
+        if given.imposed.size > 0:
+            for j in range(asked):
+                to.kept[k, n, j] = slopes[j]
 
-    `step`, `rest`, `torque` and `linear` are functions of `compile.source`, `propagate` is that of `variational`.
-    `inputs` is (N, 3); bit j of `held` says that input j holds between samples, else it runs linearly.
-    Sensitivities S are carried along if there is a workspace (see `sensitivity`), and kept, with the
-    matrices of each sample, where there is room. `carry` keeps the length of the next step between calls, counts accepted
-    and rejected steps, and holds how many may yet be tried.
+
+def integrate(
+    step: Any, rest: Any, balance: Any, linear: Any, transfer: Any, propagate: Any, given: Any, course: Any, out: Vector,
+    to: Any,
+) -> int:  # fmt: skip
+    """Fill `out`, (N, n) or (N, n + 1) with the terminal voltage, from the state `course.x` at the first sample.
+
+    Returns -1, or the sample where no step was small enough or none is left. The functions are those of
+    `compile.source` and `variational`. Sensitivities are carried along into `to` if there are any.
     """
-    y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(6)
-    trial, opening, sensitive = carry[0], math.inf, work[7].size > 0
+    time, p, x, carry, smooth = given.time, given.p, course.x, course.carry, given.smooth
+    y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(ACTING)
+    trial, opening, sensitive, slopes = carry[TRIAL], math.inf, to.S.size > 0, np.zeros(to.kept.shape[2])
+    act(given, 0, u)
+    impose(given, 0, u, x, to)
+    show(balance, linear, given, 0, u, x, out, to, slopes)
     for k in range(time.size - 1):
         span = time[k + 1] - time[k]
-        for j in range(3):
-            u[3 + j] = 0.0 if held >> j & 1 else (inputs[k + 1, j] - inputs[k, j]) / span
-        for j in range(3):
-            u[j] = inputs[k, j]
-        if p[INDUCTANCE] == 0.0:
+        turned = u[IMPOSED + SPEED] != 0.0
+        if p[INDUCTANCE] == 0.0 and u[IMPOSED + CURRENT] == 0.0:
             # Without inductance the current jumps with the voltage: a step of no length finds it.
             for _ in range(3):
                 step(x, p, time[k], u, 1e-9 * span, 1.0, 0.0, y, e, z)
-                x[0] = y[0]
-        if sensitive:
-            begin(work[6])
+                x[CURRENT] = y[CURRENT]
+        if to.matrices.size > 0:
+            begin(to.S)
+            impose(given, k, u, x, to)
         past, released = 0.0, 0.0
         # What the inputs do anew at each sample asks for about the same first step each time.
         trial = min(trial, OPENING * opening)
         while past < span:
-            carry[3] -= 1.0
-            if carry[3] < 0.0:
+            carry[ALLOWED] -= 1.0
+            if carry[ALLOWED] < 0.0:
                 return k
             t = time[k] + past
-            for j in range(3):
-                u[j] = inputs[k, j] + u[3 + j] * past
+            for j in range(SLOPES):
+                u[j] = given.acting[k, j] + u[SLOPES + j] * past
             side, go, excess = 0.0, 1.0, 0.0
             if not smooth:
                 side = 1.0 if x[SPEED] > 0.0 else -1.0
-                if x[SPEED] == 0.0:
+                if x[SPEED] == 0.0 and not turned:
                     excess, way = breaks_away(rest, x, p, t, u, 0.0)
                     side = way if excess > 0.0 else released
                     go = abs(side)
+            if turned:
+                go = 0.0
+                if x[SPEED] == 0.0:
+                    side = 0.0
             left = span - past
             h = min(trial, left)
             # Two equal steps rather than a long one and a crumb.
             if h < left < 2.0 * h:
                 h = 0.5 * left
             step(x, p, t, u, h, side, go, y, e, z)
-            error = error_of(x, y, e, atol, rtol)
+            error = error_of(x, y, e, course.atol, course.rtol)
             if not error <= 1.0:
-                carry[2] += 1.0
+                carry[REJECTED] += 1.0
                 trial = h * (max(SHRINK, SAFETY * error**-0.25) if error < math.inf else 0.1)
                 if trial < 1e-14 * span or t + trial == t:
                     return k
                 continue
             then = side
-            if side != 0.0 and y[SPEED] * side < 0.0:
+            if turned:
+                pass
+            elif side != 0.0 and y[SPEED] * side < 0.0:
                 if x[SPEED] == 0.0 and h > LOCATED * span:
                     # The torque changes its direction within the step.
                     trial = 0.1 * h
@@ -225,28 +318,33 @@ def integrate(
                     h = hold(step, rest, x, p, t, u, h, excess, ends, y, e, z)
             end = 1.0 if h == left else (past + h) / span
             if sensitive:
-                propagate(linear, x, p, t, u, h, side, go, y, z, past / span, end, S, work)
+                propagate(linear, transfer, x, p, t, u, h, side, go, y, z, past / span, end, to)
                 if then != side:
-                    after = torque(y, p, t, u, h, then) if then != 0.0 else 0.0
-                    turn(after / torque(y, p, t, u, h, side), S, work[6])
+                    _, before = balance(y, p, t, u, h, side)
+                    after = 0.0
+                    if then != 0.0:
+                        _, after = balance(y, p, t, u, h, then)
+                    turn(after / before, to.S)
             for j in range(x.size):
                 x[j] = y[j]
             if abs(x[SPEED]) < 1e-200:
                 # A free rotor coasts for ever; among denormal numbers no instant of zero speed can be located.
                 x[SPEED] = 0.0
             released = 0.0
-            carry[SPEED] += 1.0
+            carry[ACCEPTED] += 1.0
             opening = h if past == 0.0 else opening
             # The last step of a sample ends exactly there.
             past = span if h == left else past + h
             grown = h * min(GROW, SAFETY * max(error, 1e-8) ** -0.25)
             # A step cut short by the end of a sample says nothing against the longer one that was planned.
             trial = max(grown, trial) if h < trial else grown
-        for j in range(x.size):
-            out[k + 1, j] = x[j]
-        if kept.size > 0:
-            copy(S, kept[k + 1])
-        if matrices.size > 0:
-            copy(work[6][0], matrices[k])
-    carry[0] = trial
+        act(given, k + 1, u)
+        impose(given, k + 1, u, x, to)
+        show(balance, linear, given, k + 1, u, x, out, to, slopes)
+        if to.matrices.size > 0:
+            first = to.S.shape[1] - to.matrices.shape[2]
+            for r in range(to.S.shape[0]):
+                for c in range(to.matrices.shape[2]):
+                    to.matrices[k, r, c] = to.S[r, first + c]
+    carry[TRIAL] = trial
     return -1

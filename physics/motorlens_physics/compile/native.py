@@ -6,7 +6,8 @@ tenth of a second. The functions are handed to numba's compiled loop as first-cl
 protocol, and the object code is kept in the cache folder.
 
 Understood are assignments, + - * / **, comparisons, conditional expressions, subscripts, min, max, abs, np.sign, the
-functions of C's math library, and calls of the functions above in the same source, which are written out in place.
+functions of C's math library, and calls of the functions above in the same source, which are written out in place. A row
+of numbers, `np.zeros(12)`, may be filled at constant places, scaled, added, and stored as a row of a matrix: one vector.
 """
 
 import ast
@@ -152,10 +153,10 @@ def _module(source: str, signatures: Mapping[str, Signature], target: Any) -> ir
 
 @dataclass(frozen=True)
 class _Array:
-    """Where an array's elements are, and how many there are in a row."""
+    """Where an array's elements are, and how many there are along each axis."""
 
     data: Any
-    row: Any
+    shape: list[Any]
 
 
 def _argument(builder: ir.IRBuilder, value: Any, of: Any) -> Any:
@@ -164,7 +165,7 @@ def _argument(builder: ir.IRBuilder, value: Any, of: Any) -> Any:
     model = cpu_target.target_context.data_model_manager[of]
     shape = builder.extract_value(value, model.get_field_position("shape"))
     data = builder.extract_value(value, model.get_field_position("data"))
-    return _Array(data, builder.extract_value(shape, of.ndim - 1))
+    return _Array(data, [builder.extract_value(shape, axis) for axis in range(of.ndim)])
 
 
 class _Writer:
@@ -192,6 +193,20 @@ class _Writer:
     def _assign(self, target: ast.expr, value: Any, values: dict[str, Any]) -> None:
         if isinstance(target, ast.Name):
             values[target.id] = value
+        elif (
+            isinstance(target, ast.Subscript)
+            and isinstance(target.slice, ast.Constant)
+            and self._is_row(target, values)
+        ):
+            name = target.value.id  # type: ignore[attr-defined]
+            at = ir.Constant(ir.IntType(32), target.slice.value)
+            values[name] = self._builder.insert_element(values[name], value, at)
+        elif isinstance(target, ast.Subscript) and isinstance(getattr(value, "type", None), ir.VectorType):
+            # A row of a matrix: where its first number stands. Numbers are aligned, rows need not be.
+            row, _ = target.slice.elts  # type: ignore[attr-defined]
+            first = ast.Subscript(target.value, ast.Tuple([row, ast.Constant(0)]))
+            place = self._builder.bitcast(self._place(first, values), value.type.as_pointer())
+            self._builder.store(value, place, align=8)
         elif isinstance(target, ast.Subscript):
             self._builder.store(value, self._place(target, values))
         elif isinstance(target, ast.Tuple):
@@ -221,7 +236,8 @@ class _Writer:
                 return self._power(self._value(node.left, values), node.right, values)
             case ast.BinOp() if type(node.op) in _OPERATORS:
                 write = getattr(builder, _OPERATORS[type(node.op)])
-                return write(self._value(node.left, values), self._value(node.right, values), flags=fastmath)
+                pair = self._alike(self._value(node.left, values), self._value(node.right, values))
+                return write(*pair, flags=fastmath)
             case ast.IfExp():
                 test, yes, no = (self._value(part, values) for part in (node.test, node.body, node.orelse))
                 return builder.select(test, yes, no)
@@ -252,9 +268,30 @@ class _Writer:
                 positive = builder.select(builder.fcmp_ordered(">", arguments[0], zero), one, zero)
                 negative = builder.select(builder.fcmp_ordered("<", arguments[0], zero), one, zero)
                 return builder.fsub(positive, negative)
+            case ast.Attribute(value=ast.Name(id="np"), attr="zeros"):
+                return ir.Constant(ir.VectorType(_DOUBLE, node.args[0].value), None)  # type: ignore[attr-defined]
             case ast.Attribute(value=ast.Name(id="math"), attr=name):
                 return self._function(name, arguments)
         raise _unknown(node)
+
+    @staticmethod
+    def _is_row(target: ast.Subscript, values: dict[str, Any]) -> bool:
+        return isinstance(getattr(values[target.value.id], "type", None), ir.VectorType)  # type: ignore[attr-defined]
+
+    def _alike(self, left: Any, right: Any) -> tuple[Any, Any]:
+        """Two values of one type: a number beside a row becomes a row of it."""
+        if left.type == right.type:
+            return left, right
+        of = left.type if isinstance(left.type, ir.VectorType) else right.type
+        return self._spread(left, of), self._spread(right, of)
+
+    def _spread(self, value: Any, of: Any) -> Any:
+        if value.type == of:
+            return value
+        first = ir.Constant(ir.IntType(32), 0)
+        one = self._builder.insert_element(ir.Constant(of, ir.Undefined), value, first)
+        same = ir.Constant(ir.VectorType(ir.IntType(32), of.count), None)
+        return self._builder.shuffle_vector(one, ir.Constant(of, ir.Undefined), same)
 
     def _function(self, name: str, arguments: list[Any]) -> Any:
         of_it = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(arguments))
@@ -281,10 +318,10 @@ class _Writer:
     def _place(self, node: ast.Subscript, values: dict[str, Any]) -> Any:
         array = values[node.value.id]  # type: ignore[attr-defined]
         parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
-        at = [self._index(part, values) for part in parts]
-        if len(at) == 2:
-            at = [self._builder.add(self._builder.mul(at[0], array.row), at[1])]
-        return self._builder.gep(array.data, at, inbounds=True)
+        at, *further = [self._index(part, values) for part in parts]
+        for index, length in zip(further, array.shape[1:], strict=True):
+            at = self._builder.add(self._builder.mul(at, length), index)
+        return self._builder.gep(array.data, [at], inbounds=True)
 
     def _index(self, node: ast.expr, values: dict[str, Any]) -> Any:
         if isinstance(node, ast.Constant):

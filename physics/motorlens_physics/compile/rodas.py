@@ -50,19 +50,29 @@ def step_source(system: System) -> list[str]:
     """The lines of `step(x, p, t, u, h, side, go, y, e, z)`, see `loop`."""
     n = len(system.states)
     jacobian = jacobian_of(system)
-    speed = system.states.index("w")
+    current, speed = system.states.index("i"), system.states.index("w")
     x = [str(symbol) for symbol in system.x]
     lines = [f"{name} = x[{j}]" for j, name in enumerate(x)]
     lines += [f"{p} = p[{k}]" for k, p in enumerate(system.p) if p in set(system.masses)]
-    lines += ["v, load, ambient, dv, dload, dambient = u"]
+    lines += [
+        "v, load, ambient, dv, dload, dambient, di, dw, imposed, turned, shorted = u",
+        "flow = 1.0 - imposed",
+    ]
     names = [*(f"f{j}" for j in range(n)), *(f"a{r}_{c}" for r, c in jacobian), *(f"ft{j}" for j in range(n))]
     lines += [
         f"{', '.join(names)} = linearised({', '.join(x)}, v, load, ambient, t, side, p, dv, dload, dambient)"
     ]
-    # A resting rotor's row is emptied, so that its speed stays as it is.
-    lines += [f"a{r}_{c} *= go" for r, c in jacobian if r == speed]
-    lines += [f"f{speed} *= go", f"ft{speed} *= go", "r = 1.0 / h"]
+    lines += ["r = 1.0 / h"]
     lines += [f"m{j} = {mass} * r" if mass != 1 else f"m{j} = r" for j, mass in enumerate(system.masses)]
+    # The row of a resting rotor, or of what is imposed, is emptied: it keeps its state, or follows the slope it is given. An
+    # imposed current needs no inductance.
+    lines += [f"m{current} = m{current} + imposed * r"]
+    lines += [f"rate{current} = m{current} * h * imposed * di", f"rate{speed} = m{speed} * h * turned * dw"]
+    emptied = {current: "flow", speed: "go"}
+    lines += [f"a{r}_{c} *= {emptied[r]}" for r, c in jacobian if r in emptied]
+    lines += [f"ft{r} *= {factor}" for r, factor in emptied.items()]
+    follow = [f"f{r} = {factor} * f{r} + rate{r}" for r, factor in emptied.items()]
+    lines += follow
     filled, elimination = _elimination(n, jacobian)
     lines += elimination
     for s in range(6):
@@ -77,7 +87,7 @@ def step_source(system: System) -> list[str]:
             right = "".join(f"f{j}, " for j in range(n))
             states = ", ".join(f"y{j}" for j in range(n))
             lines += [f"{right} = balances({states}, {inputs}, side, p)"]
-            lines += [f"f{speed} *= go"]
+            lines += follow
         for j in range(n):
             history = " + ".join(f"{c!r} * k{q}_{j}" for q, c in enumerate(C[s]))
             terms = [f"f{j}"]

@@ -1,24 +1,89 @@
-"""Types of the compiled functions, for numba and for `native`; copied to the head of generated modules."""
+"""Types of the compiled functions, for numba and for `native`; generated modules import all of this."""
 
 import math  # noqa: F401  (for the generated modules)
+from typing import Any, NamedTuple
 
 import numpy as np  # noqa: F401  (likewise)
 from numba import boolean, float64, int64, njit, types  # noqa: F401  (likewise)
 
-Vector = Matrix = Any = object
+Vector = Matrix = Any
 # Rounding may differ by the order of operations; infinities and NaN keep their meaning.
 fastmath = ("contract", "arcp", "nsz", "reassoc")
 options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
+
+# Where `u`, what acts at an instant, keeps its parts: voltage, load torque and ambient, their slopes, the slopes of an imposed
+# current and speed, whether they are imposed, and whether the terminals are shorted.
+SLOPES, IMPOSED_SLOPES, IMPOSED, SHORTED, ACTING = 3, 6, 8, 10, 11
+# Which of a pair the current and the speed are.
+CURRENT, SPEED = 0, 1
+# What is imposed in a sample, as bits: the current, the speed, and a terminal voltage of zero.
+IMPOSES_CURRENT, IMPOSES_SPEED, SHORTS = 1, 2, 4
+# Where `Course.carry` keeps the length of the next step, the steps accepted and rejected, and how many may yet be tried.
+TRIAL, ACCEPTED, REJECTED, ALLOWED = 0, 1, 2, 3
+
+
+class Given(NamedTuple):
+    """What acts on a motor, over N samples.
+
+    `acting` is (N, 10): voltage, load torque, ambient and their slopes to the next sample, then the current and the speed
+    that are imposed and their slopes. `imposed` holds the bits `IMPOSES_CURRENT`, `IMPOSES_SPEED` and `SHORTS`, (N,), or
+    (0,) where the terminals are driven and the shaft is free throughout. `p` are the parameters, see `System.keys`.
+    """
+
+    time: Vector
+    acting: Matrix
+    imposed: Vector
+    smooth: bool
+    p: Vector
+
+
+class Course(NamedTuple):
+    """How far the integration is: the state, see `TRIAL` for `carry`, and the tolerances of its error."""
+
+    x: Vector
+    carry: Vector
+    atol: Vector
+    rtol: float
+
+
+class Variations(NamedTuple):
+    """Sensitivities along the way, see `variational`; without them everything is empty.
+
+    Columns of `S` (n, columns) are forced parameters, then what is only perturbed at its start or imposed, and, if
+    `matrices` (N - 1, n, n + 6) are asked for, n + 6 for the unit perturbations of a sample. `kept` (N, rows, columns)
+    has n rows, and one for the terminal voltage if anything is imposed. `slots` says which column a forcing goes to, and
+    `beside` which one a constant added to the voltage, the imposed current and the imposed speed has, -1 for none.
+    `a` (3, n, n), `g` (3, n, forced + 1), `over` (n, 4 n) and `T`, like S, are for working.
+    """
+
+    S: Matrix
+    kept: Matrix
+    matrices: Matrix
+    slots: Vector
+    beside: Vector
+    a: Matrix
+    g: Matrix
+    over: Matrix
+    T: Matrix
+
+
 v = float64[::1]
 m = float64[:, ::1]
 mm = float64[:, :, ::1]
+indices = int64[::1]
+of_given = types.NamedTuple((v, m, indices, boolean, v), Given)
+of_course = types.NamedTuple((v, v, v, float64), Course)
+of_variations = types.NamedTuple((m, mm, mm, indices, indices, mm, mm, m, m), Variations)
 of_step = types.void(v, v, float64, v, float64, float64, float64, v, v, v)
 of_rest = types.UniTuple(float64, 3)(v, v, float64, v, float64)
-of_torque = float64(v, v, float64, v, float64, float64)
-of_linear = types.void(v, v, float64, v, float64, float64, int64[::1], m, m)
-of_work = types.Tuple((mm, mm, mm, m, int64[::1], m, mm, v))
+of_balance = types.UniTuple(float64, 2)(v, v, float64, v, float64, float64)
+of_linear = types.void(v, v, float64, v, float64, float64, indices, m, m)
+of_transfer = types.void(v, float64, float64, mm, m)
 of_propagate = types.void(
-    types.FunctionType(of_linear), v, v, float64, v, float64, float64, float64, v, v, float64, float64, m, of_work
+    types.FunctionType(of_linear), types.FunctionType(of_transfer), v, v, float64, v, float64, float64, float64, v, v,
+    float64, float64, of_variations,
 )  # fmt: skip
-pointers = [types.FunctionType(f) for f in (of_step, of_rest, of_torque, of_linear, of_propagate)]
-of_integrate = int64(*pointers, v, m, int64, boolean, v, v, v, v, float64, m, m, of_work, mm, mm)
+pointers = [
+    types.FunctionType(f) for f in (of_step, of_rest, of_balance, of_linear, of_transfer, of_propagate)
+]
+of_integrate = int64(*pointers, of_given, of_course, m, of_variations)
