@@ -8,6 +8,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.columns import WORDS
 
 
 def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = True) -> None:
@@ -33,6 +34,18 @@ def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = 
     parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
 
 
+def add_condition_arguments(parser: argparse.ArgumentParser) -> None:
+    """Give a command `--terminal` and `--shaft`."""
+    parser.add_argument(
+        "--terminal", metavar="WORD",
+        help=f"what the terminals are tied to throughout: {', '.join(WORDS['terminal'])} (default: as planned or recorded)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--shaft", metavar="WORD",
+        help=f"what the shaft is tied to throughout: {', '.join(WORDS['shaft'])} (default: as planned or recorded)",
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class CommandInputs:
     """The motor file, the user's own effects, and how recordings are read."""
@@ -41,12 +54,17 @@ class CommandInputs:
     effects: tuple[type[Effect], ...]
     columns: tuple[str, ...]
     no_values: tuple[float, ...] | None
+    terminal: str | None = None
+    shaft: str | None = None
 
     def recordings(self, paths: Sequence[str]) -> list[Recording]:
         """Read recordings. Raises DataError and OSError, see `recording.read_recording`."""
-        from motorlens_physics.recording import read_recording
+        from motorlens_physics.recording import read_recording, under
 
-        return [read_recording(path, self.columns, self.no_values) for path in paths]
+        return [
+            under(read_recording(path, self.columns, self.no_values), self.terminal, self.shaft)
+            for path in paths
+        ]
 
 
 def inputs_from(arguments: argparse.Namespace, file: MotorFile | None = None) -> CommandInputs:
@@ -62,7 +80,10 @@ def inputs_from(arguments: argparse.Namespace, file: MotorFile | None = None) ->
     file = file or read_motor_file(arguments.motor, own)
     if arguments.voltage_commanded:
         file = voltage_commanded(file)
-    return CommandInputs(file, own, tuple(arguments.column), _no_values(arguments.no_value))
+    return CommandInputs(
+        file, own, tuple(arguments.column), _no_values(arguments.no_value), 
+        getattr(arguments, "terminal", None), getattr(arguments, "shaft", None),
+    )  # fmt: skip
 
 
 def input_words(arguments: argparse.Namespace) -> list[str]:
@@ -71,6 +92,8 @@ def input_words(arguments: argparse.Namespace) -> list[str]:
     words += [word for column in arguments.column for word in ("--column", column)]
     words += ["--voltage-commanded"] if arguments.voltage_commanded else []
     words += [f"--no-value={number}" for number in arguments.no_value or ()]
+    for flag in ("terminal", "shaft"):
+        words += [f"--{flag}", getattr(arguments, flag)] if getattr(arguments, flag, None) else []
     return words + (["--effects-from", arguments.effects_from] if arguments.effects_from else [])
 
 

@@ -1,7 +1,7 @@
 """How a motor is connected: what its terminals and its shaft are tied to, sample by sample.
 
 A terminal is driven by a voltage, open (no current flows, the terminals show the back-EMF), shorted (the armature brakes),
-or current-controlled (the current is given, the voltage is what it takes). A shaft is free, locked, or driven: another
+or current-controlled (the current is given, the voltage is what it takes). A shaft is free, locked, or turned: another
 machine gives its speed. Each holds from its sample to the next, and a sample shows what is so from then on.
 """
 
@@ -29,7 +29,7 @@ class Shaft(IntEnum):
 
     FREE = 0
     LOCKED = 1
-    DRIVEN = 2
+    TURNED = 2
 
 
 def code(kind: type[Terminal] | type[Shaft], word: str, where: str) -> int:

@@ -14,12 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.conditions import Shaft, Terminal, code, codes
 from motorlens_physics.reading import read_table
 from motorlens_physics.reading.clock import steady
 from motorlens_physics.reading.suspicion import gaps_and_channels, no_value, whole_numbers
+from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import (
     QUANTITIES,
+    WORDS,
     Column,
     candidates,
     canonical_name,
@@ -43,9 +46,9 @@ class Recording:
     Attributes:
         name: the file's name, or that of the scenario.
         time_s: (N,) strictly increasing.
-        channels: quantity ("voltage", "current", "speed", "temperature", "load_torque", "ambient", "angle") to (N,) in
-            the units of `motorlens_runtime.files.columns`; temperatures in degC. A missing sample of a measured output is
-            NaN; voltage, load torque and ambient have none.
+        channels: quantity ("voltage", "current", "speed", "temperature", "load_torque", "ambient", "angle"; "terminal" and
+            "shaft" as numbers of `conditions`) to (N,) in the units of `motorlens_runtime.files.columns`; temperatures in
+            degC. A missing sample of a measured output is NaN; voltage, load torque and ambient have none.
         notes: what was found and handled while reading, in words.
     """
 
@@ -122,6 +125,60 @@ def write_recording(recording: Recording, path: Path | str) -> None:
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(headings), comments="")
 
 
+def under(recording: Recording, terminal: str | None = None, shaft: str | None = None) -> Recording:
+    """The recording with its terminals or its shaft tied throughout to what a word says, whatever its columns say.
+
+    Raises:
+        DataError: an unknown word.
+    """
+    tied = {
+        quantity: np.full(len(recording), float(code(kind, word, f"--{quantity}")))
+        for quantity, kind, word in (("terminal", Terminal, terminal), ("shaft", Shaft, shaft))
+        if word is not None
+    }
+    return replace(recording, channels={**recording.channels, **tied})
+
+
+def inputs_of(
+    recording: Recording, ambient_C: float, *, held: bool | tuple[bool, bool, bool] = False
+) -> Inputs:
+    """What acted on the motor of a recording: its voltage, its load and ambient, and what imposed its current or speed.
+
+    Args:
+        recording: what was measured.
+        ambient_C: where the ambient was not.
+        held: see `Inputs`.
+
+    Raises:
+        DataError: a current or a speed that something imposes was not recorded, or is missing somewhere.
+    """
+    channels, nothing = recording.channels, np.zeros(len(recording))
+    terminal, shaft = channels.get("terminal"), channels.get("shaft")
+    imposed = {}
+    for quantity, tied, by, argument in (
+        ("current", terminal, Terminal.CURRENT, "current_A"),
+        ("speed", shaft, Shaft.TURNED, "speed_rad_s"),
+    ):
+        where = None if tied is None else tied == by
+        if where is None or not where.any():
+            continue
+        if quantity not in channels:
+            raise DataError(
+                f"{recording.name}: {quantity} is imposed ({by.name.lower()}), but was not recorded"
+            )
+        imposed[argument] = np.where(where, channels[quantity], 0.0)
+    return Inputs(
+        recording.time_s,
+        channels["voltage"],
+        channels.get("load_torque", nothing),
+        channels.get("ambient", nothing + ambient_C),
+        held,
+        None if terminal is None else codes(Terminal, terminal, f"{recording.name}: terminal"),
+        None if shaft is None else codes(Shaft, shaft, f"{recording.name}: shaft"),
+        **imposed,
+    )
+
+
 def _about_columns(headings: Sequence[str], columns: Mapping[str, Column]) -> list[str]:
     """Which columns were not used, what they may be, and what was taken for granted of those that were."""
     notes = [
@@ -183,6 +240,11 @@ class _Reader:
         if "speed" not in table and "angle" in table:
             table |= self._speed_of_angle(table["time"], table["angle"])
         time = table.pop("time")
+        for quantity, kind in (("terminal", Terminal), ("shaft", Shaft)):
+            if quantity in table:
+                table[quantity] = codes(kind, table[quantity], f"{self.path}: column {quantity!r}").astype(
+                    np.float64
+                )
         return Recording(self.path.name, time, table, (*self.notes, *gaps_and_channels(time, table)))
 
     def _row(self, index: int) -> int:
@@ -201,7 +263,7 @@ class _Reader:
             return table | {q: np.where(hidden[q], np.nan, table[q]) for q in hidden}
         cleaned = dict(table)
         for quantity in sorted(table, key=lambda q: q not in INPUTS):
-            if quantity == "time":
+            if quantity == "time" or quantity in WORDS:
                 continue
             column, y = self.columns[quantity], table[quantity]
             voltage = None if quantity in INPUTS else cleaned["voltage"]
@@ -268,6 +330,11 @@ class _Reader:
             row = self._row(int(np.argmax(missing)))
             if missing.all():
                 raise DataError(f"{self.path}: column {heading!r} holds no numbers")
+            if quantity in WORDS:
+                known = ", ".join(WORDS[quantity])
+                raise DataError(
+                    f"{self.path}: row {row}, column {heading!r}: empty; write one of {known} in each row"
+                )
             if quantity not in INPUTS:
                 table[quantity] = np.where(missing, np.nan, y)
                 self.notes.append(f"{count} missing values of {quantity} left out (first: row {row})")

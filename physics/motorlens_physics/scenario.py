@@ -9,11 +9,11 @@ import pkgutil
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
@@ -26,19 +26,13 @@ from motorlens_runtime.errors import DataError, ModelError
 MOST_ROWS = 10_000_000
 # A test that chooses its own sampling period has at most this many: five times what the plans ask for of usual motors.
 ROWS_OF_ITS_OWN = 200_000
-# An open circuit is an armature resistance, and a locked rotor an inertia, this many times the real one.
-IMMOVABLE = 1e9
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of a test: what is applied, and whether the terminals are open (the voltage is then ignored) or the
-    shaft is locked (the load is then what the lock bears).
-    """
+    """A stretch of a test: what is applied, and what terminals and shaft are tied to (see `Inputs`)."""
 
     inputs: Inputs
-    open_circuit: bool = False
-    locked: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,21 +117,41 @@ def time_constants(motor: Motor) -> TimeConstants:
     return TimeConstants(motor.L / motor.R_a0, motor.R_a0 * motor.J / motor.ke**2, motor.H / motor.k0)
 
 
-def perform(file: MotorFile, scenario: Scenario, rng: np.random.Generator) -> Recording:
+def perform(
+    file: MotorFile,
+    scenario: Scenario,
+    rng: np.random.Generator,
+    *,
+    terminal: Terminal | None = None,
+    shaft: Shaft | None = None,
+) -> Recording:
     """Run a scenario on a motor and record everything truly, sensors and noise left out.
 
-    Channels: voltage, current, speed, temperature (winding), resistance, load torque, ambient, and the shaft angle where
-    an effect of the motor keeps one.
+    Channels: voltage, current, speed, temperature (winding), resistance, load torque, ambient, the shaft angle where an
+    effect of the motor keeps one, and what terminals and shaft are tied to where that is not a voltage and nothing.
+
+    Args:
+        file: the motor.
+        scenario: the test.
+        rng: for what is random in it.
+        terminal: what the terminals are tied to throughout, in place of what the test says, see `tied`.
+        shaft: likewise.
+
+    Raises:
+        ModelError: a motor that cannot be simulated, or a test too long for it.
     """
     plan = scenario.plan(file, rng)
     state: Mapping[str, float] = plan.initial
     pieces = []
     for phase in plan.phases:
-        trajectory = _run(file.motor, phase, state)
+        trajectory = simulate(file.motor, tied(phase.inputs, file, terminal, shaft), state)
         state = {name: float(values[-1]) for name, values in trajectory.states.items()}
         # The last sample of a phase is the first of the next one.
-        pieces.append(_channels(file.motor, phase, trajectory, keep_last=phase is plan.phases[-1]))
+        pieces.append(_channels(file.motor, trajectory, keep_last=phase is plan.phases[-1]))
     joined = {q: np.concatenate([piece[q] for piece in pieces]) for q in pieces[0]}
+    for quantity in ("terminal", "shaft"):
+        if not joined[quantity].any():
+            del joined[quantity]
     return Recording(scenario.name(), joined.pop("time"), joined)
 
 
@@ -229,30 +243,31 @@ def steps(time_s: Array, at_s: Array, values: Array) -> Array:
     return np.asarray(values[np.searchsorted(at_s, time_s, side="right") - 1])
 
 
-def _run(motor: Motor, phase: Phase, state: Mapping[str, float]) -> Trajectory:
-    inputs = phase.inputs
-    if phase.locked:
-        inputs = replace(inputs, load_torque_Nm=0 * inputs.load_torque_Nm)
-        motor = replace(motor, J=motor.J * IMMOVABLE)
-    if phase.open_circuit:
-        inputs = replace(inputs, voltage_V=0 * inputs.voltage_V)
-        motor = replace(motor, R_a0=motor.R_a0 * IMMOVABLE)
-        state = {**state, "i": 0.0}
-    return simulate(motor, inputs, state)
+def tied(
+    inputs: Inputs, file: MotorFile, terminal: Terminal | None = None, shaft: Shaft | None = None
+) -> Inputs:
+    """These inputs with the terminals or the shaft tied throughout to something else.
+
+    A current-controlled drive follows the voltages of the inputs in proportion, rated voltage as rated current; a machine
+    that turns the shaft does likewise with rated speed.
+    """
+    share = inputs.voltage_V / file.rated.voltage_V
+    if terminal is not None:
+        current = file.rated.current_A * share if terminal == Terminal.CURRENT else None
+        inputs = replace(inputs, terminal=np.full(inputs.time_s.size, terminal), current_A=current)
+    if shaft is not None:
+        speed = file.rated.speed_rad_s * share if shaft == Shaft.TURNED else None
+        inputs = replace(inputs, shaft=np.full(inputs.time_s.size, shaft), speed_rad_s=speed)
+    return inputs
 
 
-def _channels(motor: Motor, phase: Phase, trajectory: Trajectory, keep_last: bool) -> dict[str, Array]:
+def _channels(motor: Motor, trajectory: Trajectory, keep_last: bool) -> dict[str, Array]:
     inputs, states = trajectory.inputs, dict(trajectory.states)
-    voltage, current, load = inputs.voltage_V, trajectory.current_A, inputs.load_torque_Nm
-    if phase.open_circuit:
-        # No current flows, and the terminals show the back-EMF: the voltage that would balance at i = 0.
-        current = np.zeros_like(current)
-        x = SimpleNamespace(**{**states, "i": current})
-        u = SimpleNamespace(v=0.0, load=load, ambient=inputs.ambient_C, t=inputs.time_s)
-        voltage = -np.asarray(motor.balances(x, u)[0])
+    voltage, current, load = trajectory.voltage_V, trajectory.current_A, inputs.load_torque_Nm
     speed = trajectory.speed_rad_s
-    if phase.locked:
-        speed, load = np.zeros_like(speed), motor.ke * current
+    if inputs.shaft is not None:
+        # The load is what a lock bears.
+        load = np.where(inputs.shaft == Shaft.LOCKED, motor.ke * current, load)
     # A brake that holds a resting rotor takes up the motor's torque, no more.
     resting = (speed == 0) & (load != 0)
     load = np.where(resting, np.clip(motor.ke * current, -np.abs(load), np.abs(load)), load)
@@ -268,4 +283,7 @@ def _channels(motor: Motor, phase: Phase, trajectory: Trajectory, keep_last: boo
     }
     if "phi" in states:
         channels["angle"] = states["phi"]
+    nothing = np.zeros(inputs.time_s.size)
+    channels["terminal"] = nothing if inputs.terminal is None else inputs.terminal
+    channels["shaft"] = nothing if inputs.shaft is None else inputs.shaft
     return {q: np.asarray(y, dtype=np.float64)[: None if keep_last else -1] for q, y in channels.items()}

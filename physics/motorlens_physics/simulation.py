@@ -23,6 +23,8 @@ from motorlens_physics.compile.types import (
     ALLOWED,
     IMPOSES_CURRENT,
     IMPOSES_SPEED,
+    LOCKS,
+    OPENS,
     REJECTED,
     SHORTS,
     SLOPES,
@@ -64,7 +66,7 @@ class Inputs:
         terminal: (N,) of `Terminal`; None: driven throughout. The voltage is that of samples where they are driven.
         shaft: (N,) of `Shaft`; None: free throughout.
         current_A: (N,) what a current-controlled drive imposes; held or linear as the voltage would be.
-        speed_rad_s: (N,) what a driven shaft imposes; linear.
+        speed_rad_s: (N,) what turns the shaft imposes; linear.
     """
 
     time_s: Array
@@ -100,7 +102,7 @@ class Inputs:
     def _check_conditions(self) -> None:
         for name, kind, imposed, by in (
             ("terminal", Terminal, "current_A", Terminal.CURRENT),
-            ("shaft", Shaft, "speed_rad_s", Shaft.DRIVEN),
+            ("shaft", Shaft, "speed_rad_s", Shaft.TURNED),
         ):
             values = getattr(self, name)
             if values is None:
@@ -322,8 +324,10 @@ def run(
         if getattr(motor, name) <= 0:
             raise ModelError(f"{name} = {getattr(motor, name):g}: must be positive")
     acting, imposed = _acting(inputs)
-    size = _scales(motor, system, acting[:, :3], np.concatenate([np.abs(acting[:, 6:8]).max(axis=0), x[2:]]))
-    size = np.maximum(size, _scales(motor, system, acting[:, :3], x))
+    largest = x.copy()
+    if imposed.size:
+        largest[:2] = np.maximum(np.abs(x[:2]), np.abs(acting[:, 6:8]).max(axis=0))
+    size = _scales(motor, system, acting, largest)
     samples = inputs.time_s.size
     out = np.empty((samples, x.size + (imposed.size > 0)))
     allowed = STEPS_A_SAMPLE * samples + STEPS_BESIDE if most_steps is None else most_steps
@@ -349,30 +353,33 @@ def _acting(inputs: Inputs) -> tuple[Array, NDArray[np.int64]]:
     def put(value: int, slope: int, y: Array, runs: NDArray[np.bool_] | bool) -> None:
         acting[:, value] = y
         if samples > 1:
-            acting[:-1, slope] = np.where(runs, np.diff(y) / spans, 0.0)
+            acting[:-1, slope] = np.diff(y) / spans * runs
             acting[-1, slope] = acting[-2, slope]
 
     held = inputs.hold
     for j, y in enumerate((inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C)):
         put(j, SLOPES + j, y, not held[j])
+    if inputs.terminal is None and inputs.shaft is None:
+        return acting, _NO_INDEX
     terminal = np.zeros(samples, dtype=np.int64) if inputs.terminal is None else inputs.terminal
     shaft = np.zeros(samples, dtype=np.int64) if inputs.shaft is None else inputs.shaft
-    for j, (how, by, y, runs) in enumerate(
+    for j, (tied, imposed, runs) in enumerate(
         (
-            (terminal, Terminal.CURRENT, inputs.current_A, not held[0]),
-            (shaft, Shaft.DRIVEN, inputs.speed_rad_s, True),
+            (terminal == Terminal.CURRENT, inputs.current_A, not held[0]),
+            (shaft == Shaft.TURNED, inputs.speed_rad_s, True),
         )
     ):
-        given = how == by
-        if y is not None and given.any():
-            put(6 + j, 8 + j, np.where(given, y, 0.0), given[:-1] & given[1:] & runs)
+        if imposed is not None and tied.any():
+            put(6 + j, 8 + j, np.where(tied, imposed, 0.0), tied[:-1] & tied[1:] & runs)
     acting[(terminal == Terminal.SHORTED)[:, None] & np.isin(np.arange(10), (0, SLOPES))] = 0.0
-    imposed = (
+    how = (
         IMPOSES_CURRENT * np.isin(terminal, (Terminal.OPEN, Terminal.CURRENT))
-        + IMPOSES_SPEED * np.isin(shaft, (Shaft.LOCKED, Shaft.DRIVEN))
+        + IMPOSES_SPEED * np.isin(shaft, (Shaft.LOCKED, Shaft.TURNED))
+        + OPENS * (terminal == Terminal.OPEN)
+        + LOCKS * (shaft == Shaft.LOCKED)
         + SHORTS * (terminal == Terminal.SHORTED)
     )
-    return acting, imposed.astype(np.int64) if imposed.any() else _NO_INDEX
+    return acting, how.astype(np.int64) if how.any() else _NO_INDEX
 
 
 def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:

@@ -7,12 +7,14 @@ example:
 Scenarios: direct_on_line (the paper's run), duty (random voltage, load, ambient, start temperature), locked_rotor,
 coast_down, no_load_steps, load_steps, overhauling_load, slow_ramp, heat_soak.
 The recording holds time_s, voltage_V, current_A, speed_rad_s, temperature_C (of the winding), resistance_ohm,
-load_torque_Nm and ambient_C.
+load_torque_Nm and ambient_C, and terminal and shaft where they are tied to something else than a voltage and nothing
+(terminal: 1 open, 2 shorted, 3 current-controlled; shaft: 1 locked, 2 turned by another machine).
 """
 
 import argparse
 from dataclasses import replace
 
+from motorlens_physics.command_inputs import add_condition_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
 
 
@@ -32,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="change a parameter of the motor, such as R_a0=3.6; repeatable")  # fmt: skip
     parser.add_argument("--noise", action="append", default=[], metavar="SD",
                         help="CHANNEL=SD in its unit, or 0.5%% of the rating plate for all; repeatable")  # fmt: skip
+    add_condition_arguments(parser)
     parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
     parser.add_argument("--seed", type=int, default=0, help="of everything random (default: 0)")
     add_json_argument(parser)
@@ -40,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
+    from motorlens_physics.conditions import Shaft, Terminal, code
     from motorlens_physics.effect import load_effects
     from motorlens_physics.motor_file import parse_override, read_motor_file, with_overrides
     from motorlens_physics.recording import write_recording
@@ -51,7 +55,11 @@ def run(arguments: argparse.Namespace) -> int:
     overrides = dict(parse_override(text) for text in (*arguments.settings, *arguments.effect))
     file = with_overrides(file, overrides, own)
     rng = np.random.default_rng(arguments.seed)
-    truth = perform(file, scenario, rng)
+    terminal = (
+        None if arguments.terminal is None else Terminal(code(Terminal, arguments.terminal, "--terminal"))
+    )
+    shaft = None if arguments.shaft is None else Shaft(code(Shaft, arguments.shaft, "--shaft"))
+    truth = perform(file, scenario, rng, terminal=terminal, shaft=shaft)
     noise = parse_noise(arguments.noise, file.rated)
     recording = measure(truth, file.sensors, noise, rng)
     write_recording(replace(recording, name=arguments.output), arguments.output)

@@ -27,6 +27,8 @@ from motorlens_physics.compile.types import (
     IMPOSED_SLOPES,
     IMPOSES_CURRENT,
     IMPOSES_SPEED,
+    LOCKS,
+    OPENS,
     REJECTED,
     SHORTED,
     SHORTS,
@@ -78,14 +80,15 @@ def act(given: Any, k: int, u: Vector) -> None:
 
 
 def impose(given: Any, k: int, u: Vector, x: Vector, to: Any) -> None:
-    """Set the states that are imposed from sample k on; they answer to nothing but a constant added to them."""
+    """Set the states that are imposed from sample k on; they answer to nothing but a constant added to what is given."""
     for state in range(2):
         if u[IMPOSED + state] != 0.0:
             x[state] = given.acting[k, 6 + state]
             if to.S.size > 0:
                 for j in range(to.S.shape[1]):
                     to.S[state, j] = 0.0
-                if to.beside[1 + state] >= 0:
+                none = given.imposed[k] & (LOCKS if state == SPEED else OPENS)
+                if to.beside[1 + state] >= 0 and none == 0:
                     to.S[state, to.beside[1 + state]] = 1.0
 
 
@@ -96,7 +99,7 @@ def terminal(
     if u[IMPOSED + CURRENT] == 0.0:
         for j in range(slopes.size):
             slopes[j] = 1.0 if j == to.beside[0] and u[SHORTED] == 0.0 else 0.0
-        return u[0]
+        return float(u[0])
     side = 0.0
     if x[SPEED] != 0.0:
         side = 1.0 if x[SPEED] > 0.0 else -1.0
@@ -112,7 +115,7 @@ def terminal(
         u[0] = before - (missing - induced) / per_volt
         if abs(u[0] - before) <= 1e-12 * max(abs(u[0]), 1e-3):
             break
-    found = u[0]
+    found = float(u[0])
     if slopes.size > 0:
         forced = to.g.shape[2] - 1
         linear(x, p, t, u, 0.0, side, to.slots, to.a[0], to.g[0])

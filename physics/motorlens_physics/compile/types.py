@@ -6,18 +6,20 @@ from typing import Any, NamedTuple
 import numpy as np  # noqa: F401  (likewise)
 from numba import boolean, float64, int64, njit, types  # noqa: F401  (likewise)
 
-Vector = Matrix = Any
+# Arrays of one, two and three axes; any, so that the loops read as Python.
+Vector = Any
+Matrix = Any
 # Rounding may differ by the order of operations; infinities and NaN keep their meaning.
 fastmath = ("contract", "arcp", "nsz", "reassoc")
 options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
 
-# Where `u`, what acts at an instant, keeps its parts: voltage, load torque and ambient, their slopes, the slopes of an imposed
-# current and speed, whether they are imposed, and whether the terminals are shorted.
+# Where `u`, what acts at an instant, keeps its parts: voltage, load torque and ambient, their slopes, the slopes of an
+# imposed current and speed, whether they are imposed, and whether the terminals are shorted.
 SLOPES, IMPOSED_SLOPES, IMPOSED, SHORTED, ACTING = 3, 6, 8, 10, 11
 # Which of a pair the current and the speed are.
 CURRENT, SPEED = 0, 1
-# What is imposed in a sample, as bits: the current, the speed, and a terminal voltage of zero.
-IMPOSES_CURRENT, IMPOSES_SPEED, SHORTS = 1, 2, 4
+# What is imposed in a sample, as bits: the current, the speed (of zero by an open terminal, by a lock), a voltage of zero.
+IMPOSES_CURRENT, IMPOSES_SPEED, OPENS, LOCKS, SHORTS = 1, 2, 4, 8, 16
 # Where `Course.carry` keeps the length of the next step, the steps accepted and rejected, and how many may yet be tried.
 TRIAL, ACCEPTED, REJECTED, ALLOWED = 0, 1, 2, 3
 
@@ -26,8 +28,8 @@ class Given(NamedTuple):
     """What acts on a motor, over N samples.
 
     `acting` is (N, 10): voltage, load torque, ambient and their slopes to the next sample, then the current and the speed
-    that are imposed and their slopes. `imposed` holds the bits `IMPOSES_CURRENT`, `IMPOSES_SPEED` and `SHORTS`, (N,), or
-    (0,) where the terminals are driven and the shaft is free throughout. `p` are the parameters, see `System.keys`.
+    that are imposed and their slopes. `imposed` holds the bits from `IMPOSES_CURRENT` on, (N,), or (0,) where the terminals
+    are driven and the shaft is free throughout. `p` are the parameters, see `System.keys`.
     """
 
     time: Vector

@@ -72,12 +72,20 @@ def transfer_source(system: System) -> list[str]:
 
 # ---- compiled from here on ----
 def withhold(row: int, a: Matrix, g: Matrix) -> None:
-    """An equation that nothing enters, at the three instants: that of what is imposed or at rest."""
+    """Nothing enters an equation, at the three instants: that of what is imposed or at rest."""
     for q in range(3):
         for c in range(a.shape[2]):
             a[q, row, c] = 0.0
         for j in range(g.shape[2]):
             g[q, row, j] = 0.0
+
+
+def unmoved(row: int, over: Matrix) -> None:
+    """No forcing of this equation moves anything."""
+    n = over.shape[0]
+    for r in range(n):
+        for q in range(1, 4):
+            over[r, q * n + row] = 0.0
 
 
 def propagate(
@@ -100,6 +108,10 @@ def propagate(
             for r in range(n):
                 g[q, r, to.beside[0]] = 0.0
     transfer(p, h, flow, a, over)
+    if flow == 0.0:
+        unmoved(CURRENT, over)
+    if go == 0.0:
+        unmoved(SPEED, over)
     if go == 0.0 and u[IMPOSED + SPEED] == 0.0:
         # What rests has no speed to be perturbed.
         for c in range(4 * n):

@@ -10,10 +10,13 @@ import numpy as np
 
 from motorlens_physics.reading import Array, Table
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.columns import WORDS
 from motorlens_runtime.files.layout import HEAD_BYTES, MISSING, Layout, is_comment, layout_of, number, split
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 EXTRA = "workbench"
+# What a word means in a column that holds words.
+_CODES = {word: float(code) for words in WORDS.values() for code, word in enumerate(words)}
 
 
 def read(path: Path) -> Table:
@@ -114,6 +117,8 @@ def _by_cell(
         for k in used:
             cell = cells[k] if k < len(cells) else ""
             value = number(cell, layout.decimal)
+            if value is None:
+                value = _CODES.get(cell.strip().lower())
             if value is None:
                 value = _seconds(cell, k, origin)
             if value is None:

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from motorlens_physics.conditions import Terminal
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, constant, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, constant, tied, time_constants
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,5 @@ class CoastDown(Scenario):
         period = 0.02 * pace.mechanical_s
         ambient = plate.ambient_C
         driven = Phase(constant(self.times(run_up, period), plate.voltage_V, 0.0, ambient))
-        free = Phase(
-            constant(self.times(coast, period, start_s=driven.inputs.time_s[-1]), 0.0, 0.0, ambient),
-            open_circuit=True,
-        )
-        return Plan((driven, free))
+        free = constant(self.times(coast, period, start_s=driven.inputs.time_s[-1]), 0.0, 0.0, ambient)
+        return Plan((driven, Phase(tied(free, file, Terminal.OPEN))))

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from motorlens_physics.conditions import Shaft
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.scenario import Phase, Plan, Scenario, steps, time_constants
+from motorlens_physics.scenario import Phase, Plan, Scenario, steps, tied, time_constants
 from motorlens_physics.simulation import Inputs
 
 
@@ -25,4 +26,5 @@ class LockedRotor(Scenario):
         at = duration * np.arange(len(shares)) / len(shares)
         voltage = steps(time, at, rated_drop * shares)
         still = np.zeros_like(time)
-        return Plan((Phase(Inputs(time, voltage, still, still + plate.ambient_C, held=True), locked=True),))
+        inputs = Inputs(time, voltage, still, still + plate.ambient_C, held=True)
+        return Plan((Phase(tied(inputs, file, shaft=Shaft.LOCKED)),))

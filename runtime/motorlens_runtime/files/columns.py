@@ -32,7 +32,11 @@ QUANTITIES: dict[str, tuple[str, tuple[str, ...]]] = {
     "ambient": ("C", ("ambient", "ambienttemperature", "umgebungstemperatur")),
     "angle": ("rad", ("angle", "shaftangle", "position", "winkel", "drehwinkel")),
     "resistance": ("ohm", ("resistance", "armatureresistance", "widerstand")),
+    "terminal": ("", ("terminal", "terminals")),
+    "shaft": ("", ("shaft",)),
 }  # fmt: skip
+# Quantities that are words instead of numbers with a unit; each counts from 0, and no word is used twice but for that.
+WORDS = {"terminal": ("driven", "open", "shorted", "current"), "shaft": ("free", "locked", "turned")}
 # Words that are a quantity only with its unit beside them: alone they are as often something else.
 _NEED_A_UNIT = frozenset(("u", "n", "velocity", "tension", "couple"))
 # The first spellings to offer for a canonical unit.
@@ -98,8 +102,8 @@ class Column:
 
 
 def canonical_name(quantity: str) -> str:
-    """`quantity_unit` in SI; temperatures in degrees Celsius."""
-    return f"{quantity}_{QUANTITIES[quantity][0]}"
+    """`quantity_unit` in SI; temperatures in degrees Celsius; a quantity in words is its name alone."""
+    return f"{quantity}_{QUANTITIES[quantity][0]}".removesuffix("_")
 
 
 def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) -> dict[str, Column]:
@@ -263,7 +267,7 @@ def unit_in(heading: str) -> Unit | None:
 
 def conversion(canonical: str, text: str) -> tuple[float, float] | None:
     """Factor and offset from a spelling to a canonical unit; None if it is of another dimension. A cycle is a turn."""
-    unit, target = in_heading(text), in_heading(canonical)
+    unit, target = in_heading(text), in_heading(canonical) if canonical else None
     if unit is None or target is None:
         return None
     if unit.dimension != target.dimension:
@@ -326,7 +330,7 @@ def _written(canonical: str) -> str:
 def _column(index: int, heading: str, quantity: str, unit: str, where: str) -> Column:
     canonical = QUANTITIES[quantity][0]
     if not unit:
-        return Column(index, heading, quantity, 1.0, 0.0, assumed=True)
+        return Column(index, heading, quantity, 1.0, 0.0, assumed=quantity not in WORDS)
     found = conversion(canonical, unit)
     if found is None:
         raise DataError(
