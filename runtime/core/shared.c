@@ -1,5 +1,6 @@
 /* What only the PC's shared object has: sizes, by which Python checks its own idea of the structs, and the network alone. */
 #include "motorlens.h"
+#include "link.h"
 
 /* The arrays of `motorlens_push`. */
 typedef struct {
@@ -26,7 +27,10 @@ size_t motorlens_size(int what)
     case 2: return sizeof(motorlens_step);
     case 3: return sizeof(motorlens_operation);
     case 4: return sizeof(motorlens_program);
-    default: return sizeof(motorlens_block);
+    case 5: return sizeof(motorlens_block);
+    case 6: return sizeof(motorlens_link);
+    case 7: return sizeof(motorlens_frame);
+    default: return sizeof(motorlens_samples);
     }
 }
 

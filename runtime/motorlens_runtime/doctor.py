@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.line import framing
-from motorlens_runtime.line.link import Link
+from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.sensor.sensor import Sensor
 
 RATES_HZ = (100, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
@@ -154,7 +154,7 @@ class _Line:
         most = framing.samples_per_frame(len(channels))
         self.per_frame = min(max(round(rate_Hz * _FRAME_S), 1), most)
         self._rate_Hz = rate_Hz
-        self._link = Link()
+        self._link = open_link()
         self._estimator = open_estimator(sensor, 1 / rate_Hz)
         hello = framing.Hello("doctor", 1, (rate_Hz, 1), channels, simulated=True)
         frames = framing.hello_frames(hello, sequence=0, t0_us=0)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
+from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.line.framing import (
     Channel,
     Flag,
@@ -20,8 +21,8 @@ from motorlens_runtime.line.framing import (
     samples_frame,
     status_frame,
 )
-from motorlens_runtime.line.link import Link
 
+pytestmark = pytest.mark.usefixtures("engine")
 SECOND = 1_000_000_000
 
 
@@ -83,7 +84,7 @@ def values(codes):
     st.sampled_from([1, 10, 20]), st.integers(0, 2**32 - 1), st.lists(st.integers(0, 8000), max_size=15),
 )  # fmt: skip
 def test_every_sample_lies_on_the_grid_of_the_rate(rate, n, t0_us, cuts):
-    device, link = Device(rate, n, t0_us), Link()
+    device, link = Device(rate, n, t0_us), open_link()
     data = device.greet() + b"".join(device.frame() for _ in range(100))
     samples = feed(link, data, cuts)
     voltage, current = values(device.codes)
@@ -102,7 +103,7 @@ def test_every_sample_lies_on_the_grid_of_the_rate(rate, n, t0_us, cuts):
 
 
 def test_the_clock_that_wraps_goes_on():
-    device, link = Device(t0_us=2**32 - 50_000), Link()
+    device, link = Device(t0_us=2**32 - 50_000), open_link()
     samples = feed(link, device.greet() + b"".join(device.frame() for _ in range(20)))
     assert (np.diff(samples.time_ns) == 1_000_000).all() and link.counters.restarts == 0
 
@@ -111,7 +112,7 @@ def test_the_clock_that_wraps_goes_on():
 @settings(deadline=None)
 @given(st.sets(st.integers(0, 99), max_size=40), st.lists(st.integers(0, 8000), max_size=15))
 def test_what_is_lost_is_counted_and_what_comes_has_its_own_time(lost, cuts):
-    device, link = Device(), Link()
+    device, link = Device(), open_link()
     greeting = device.greet()
     sent = [device.frame() for _ in range(100)]
     kept = [k for k in range(100) if k not in lost]
@@ -128,7 +129,7 @@ def test_what_is_lost_is_counted_and_what_comes_has_its_own_time(lost, cuts):
 
 
 def test_repeated_and_late_frames_are_left_out():
-    device, link = Device(), Link()
+    device, link = Device(), open_link()
     greeting, f = device.greet(), [device.frame() for _ in range(6)]
     samples = feed(link, greeting + f[0] + f[1] + f[1] + f[3] + f[2] + f[4] + f[0] + f[5])
     assert np.array_equal(samples.time_ns // 10_000_000, np.repeat([0, 1, 3, 4, 5], 10))
@@ -136,7 +137,7 @@ def test_repeated_and_late_frames_are_left_out():
 
 
 def test_samples_before_hello_are_kept_until_it_comes():
-    device, link = Device(), Link()
+    device, link = Device(), open_link()
     early = b"".join(device.frame() for _ in range(30))
     assert len(link.feed(early, 0)) == 0 and link.period_s is None
     samples = feed(link, device.greet() + device.frame())
@@ -144,7 +145,7 @@ def test_samples_before_hello_are_kept_until_it_comes():
 
 
 def test_a_restart_goes_on_by_the_host_clock_after_a_rest():
-    link, first = Link(), Device(boot=1, t0_us=9_000_000)
+    link, first = open_link(), Device(boot=1, t0_us=9_000_000)
     before = feed(link, first.greet() + first.frame(), now_ns=100 * SECOND)
     second = Device(boot=2, t0_us=500, seed=1)
     after = feed(link, second.greet() + second.frame(Flag.RESTART), now_ns=160 * SECOND)
@@ -157,14 +158,14 @@ def test_a_restart_goes_on_by_the_host_clock_after_a_rest():
 
 
 def test_a_restart_whose_hello_was_lost_is_seen_by_its_clock():
-    link, first, second = Link(), Device(t0_us=9_000_000), Device(t0_us=500, seed=1)
+    link, first, second = open_link(), Device(t0_us=9_000_000), Device(t0_us=500, seed=1)
     feed(link, first.greet() + first.frame(), now_ns=SECOND)
     after = feed(link, second.frame(), now_ns=2 * SECOND)
     assert link.counters.restarts == 1 and len(after) == 11
 
 
 def test_flags_say_saturated_and_simulated():
-    device, link = Device(simulated=True), Link()
+    device, link = Device(simulated=True), open_link()
     codes = np.array([[0, 0], [2047, 0], [0, -2048], [5, 5]], dtype=np.int16)
     data = device.greet() + samples_frame(
         codes, schema=1, sequence=device.sequence, t0_us=0, flags=Flag.SATURATED
@@ -175,7 +176,7 @@ def test_flags_say_saturated_and_simulated():
 
 
 def test_status_unknown_kinds_and_foreign_schemas_are_counted():
-    device, link = Device(), Link()
+    device, link = Device(), open_link()
     status = Status(1, 2, 3, 4)
     data = device.greet() + status_frame(status, sequence=2, t0_us=0) + encode(Frame(77, 3, 0, b"x"))
     data += samples_frame(np.zeros((3, 2), dtype=np.int16), schema=9, sequence=4, t0_us=0)
@@ -196,7 +197,7 @@ def test_status_unknown_kinds_and_foreign_schemas_are_counted():
     ],
 )
 def test_a_hello_of_no_use_is_a_complaint_and_no_error(channels, words):
-    link = Link()
+    link = open_link()
     for wire in hello_frames(Hello("d", 1, (1000, 1), channels), sequence=0, t0_us=0):
         assert len(link.feed(wire, 0)) == 0
     assert link.hello is None and words in link.complaint
@@ -211,7 +212,7 @@ def test_float_channels_and_ambient():
     )
     data = b"".join(hello_frames(Hello("d", 1, (500, 1), channels), sequence=0, t0_us=0))
     rows = np.array([[1.5, 24.0, 212.0, 9.0]], dtype=np.float32)
-    samples = Link().feed(data + samples_frame(rows, schema=1, sequence=2, t0_us=3), 0)
+    samples = open_link().feed(data + samples_frame(rows, schema=1, sequence=2, t0_us=3), 0)
     assert (samples.voltage_V[0], samples.current_A[0], samples.time_ns[0]) == (24.0, 1.5, 3000)
     assert samples.ambient_C[0] == pytest.approx(100.0)
 
@@ -231,7 +232,7 @@ def test_whatever_comes_time_never_runs_backwards(seed, garbage):
         pieces.append(device.greet() if rng.random() < 0.1 else device.frame())
         if rng.random() < 0.2:
             pieces.append(pieces[rng.integers(len(pieces))])
-    link, times, now = Link(), [], 0
+    link, times, now = open_link(), [], 0
     for piece in (pieces[k] for k in rng.permutation(len(pieces))):
         now += int(rng.integers(10**8))
         times.append(link.feed(piece, now).time_ns)
@@ -261,7 +262,7 @@ def test_frame_by_frame_is_as_all_at_once(kind, n, rails, ambient, seed):
         flags = Flag.SATURATED if k % 7 == 3 else 0
         stamp = round(1e6 * k * n / 3000)
         frames.append(samples_frame(codes, schema=1, sequence=len(frames), t0_us=stamp, flags=flags))
-    single, whole = Link(), Link()
+    single, whole = open_link(), open_link()
     parts = [part for part in (single.feed(frame, 0) for frame in frames) if len(part)]
     together = whole.feed(b"".join(frames), 0)
     for name in Samples.__dataclass_fields__:
@@ -274,3 +275,69 @@ def test_frame_by_frame_is_as_all_at_once(kind, n, rails, ambient, seed):
                 got, expected, equal_nan=expected.dtype.kind == "f"
             ), name
     assert single.counters == whole.counters and single.bad_frames == whole.bad_frames == 0
+
+
+def faulty_stream(seed, frames):
+    """What a bad line brings: frames lost, late, twice, damaged, cut, restarts, rubbish; HELLO now and then. In portions."""
+    rng = np.random.default_rng(seed)
+    rate = [(1000, 1), (20_000, 1), (3000, 1), (999, 7)][seed % 4]
+    device = Device(rate, int(rng.integers(1, 40)), int(rng.integers(0, 2**32)), seed=seed)
+    pieces, earlier = [device.greet()], []
+    for _ in range(frames):
+        data = device.frame(int(rng.choice([0, 0, 0, 0, Flag.SATURATED, Flag.OVERRUN, Flag.RESTART])))
+        earlier.append(data)
+        what = rng.integers(0, 40)
+        if what == 0:
+            continue
+        if what == 1:
+            data = earlier[int(rng.integers(max(len(earlier) - 50, 0), len(earlier)))]
+        elif what == 2:
+            data = bytearray(data)
+            data[int(rng.integers(0, len(data)))] ^= int(1 << rng.integers(0, 8))
+        elif what == 3:
+            data = data[: int(rng.integers(0, len(data)))]
+        elif what == 4:
+            data = rng.bytes(int(rng.integers(1, 600))) + data
+        elif what == 5:
+            device.t0_us, device.count = int(rng.integers(0, 2**32)), 0
+            if rng.random() < 0.5:
+                device.hello = hello(rate if rng.random() < 0.7 else (500, 1), int(rng.integers(0, 9)))
+            data = device.greet() + data
+        elif what == 6:
+            data = encode(
+                Frame(int(rng.integers(0, 9)), device.sequence, 0, rng.bytes(int(rng.integers(0, 241))))
+            )
+        elif what == 7:
+            device.count += int(rng.integers(1, 5000))
+        pieces.append(bytes(data))
+    stream = b"".join(pieces)
+    edges = np.sort(rng.integers(0, len(stream), len(stream) // int(rng.integers(20, 2000))))
+    now_ns = 0
+    for a, b in itertools.pairwise([0, *edges.tolist(), len(stream)]):
+        now_ns += int(rng.integers(0, 30_000_000))
+        yield stream[a:b], now_ns
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("seed", range(8))
+def test_a_bad_line_gives_the_same_samples_and_counts_in_python_and_in_the_core(seed):
+    from motorlens_runtime.line.link import Link
+
+    python, core = Link(), open_link()
+    for data, now_ns in faulty_stream(seed, 4000):
+        expected, found = python.feed(data, now_ns), core.feed(data, now_ns)
+        assert np.array_equal(found.time_ns, expected.time_ns)
+        assert np.array_equal(found.voltage_V, expected.voltage_V)
+        assert np.array_equal(found.current_A, expected.current_A)
+        if len(expected):
+            assert np.array_equal(found.flags, expected.flags)
+        assert (core.bad_frames, core.bytes_seen) == (python.bad_frames, python.bytes_seen)
+    assert core.counters == python.counters
+    counters = python.counters
+    assert (
+        counters.restarts
+        and counters.late_frames
+        and counters.gaps
+        and counters.unknown_frames
+        and python.bad_frames
+    )

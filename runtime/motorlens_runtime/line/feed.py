@@ -10,6 +10,7 @@ import numpy as np
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.files.csv_stream import CsvStream, period_of
+from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.line.dialects import Dialect, make_dialect, recognise
 from motorlens_runtime.line.link import Link, joined, slice_of
 from motorlens_runtime.line.sources import Options, Source, number_of, open_source, split
@@ -84,7 +85,7 @@ class LineFeed:
         self._source: Source | None = open_source(parts, rest)
         self._decoder: Dialect | None = None
         if dialect == "frames":
-            self._decoder = Link()
+            self._decoder = open_link()
         elif dialect is not None:
             self._decoder = make_dialect(dialect, rest)
         elif rest:
@@ -162,7 +163,7 @@ class LineFeed:
         if spoken == "text":
             self._decoder = make_dialect("text")
         elif spoken == "frames" or len(self._heard) >= _RECOGNISE_BYTES:
-            self._decoder = Link()
+            self._decoder = open_link()
         return self._decoder
 
     def _timed(self, decoder: Dialect, samples: Samples) -> Samples:

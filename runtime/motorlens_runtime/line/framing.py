@@ -223,7 +223,7 @@ def decode_run(bodies: Sequence[bytes]) -> tuple[FrameRun, int]:
     """Decode frames of one length at once; returns the valid ones in order, and how many were damaged."""
     if len(bodies) < _VECTOR_FROM or not OVERHEAD < len(bodies[0]) <= MAX_BODY:
         frames = [frame for frame in map(decode, bodies) if frame is not None]
-        return _run_of(frames, max(len(bodies[0]) - OVERHEAD - 1, 0)), len(bodies) - len(frames)
+        return run_of(frames, max(len(bodies[0]) - OVERHEAD - 1, 0)), len(bodies) - len(frames)
     coded = np.frombuffer(b"".join(bodies), dtype=np.uint8).reshape(len(bodies), -1)
     width = coded.shape[1]
     body = coded[:, 1:].copy()
@@ -260,6 +260,14 @@ class Decoder:
         self._rest = b""
         self._overlong = False
         self.bad_frames = 0
+
+    def held(self) -> tuple[bytes, bool, int]:
+        """The unfinished frame, whether what comes up to the next zero is thrown away, and the count of bad frames."""
+        return self._rest, self._overlong, self.bad_frames
+
+    def hold(self, rest: bytes, overlong: bool, bad_frames: int) -> None:
+        """Go on from what another decoder held."""
+        self._rest, self._overlong, self.bad_frames = rest, overlong, bad_frames
 
     def whole(self, data: bytes) -> Frame | None:
         """The frame, where `data` is one sound frame from its first byte to its zero and nothing is unfinished; else None.
@@ -358,7 +366,8 @@ class HelloAssembler:
         return Hello.from_json(text)
 
 
-def _run_of(frames: Sequence[Frame], length: int) -> FrameRun:
+def run_of(frames: Sequence[Frame], length: int) -> FrameRun:
+    """Frames of one payload length as arrays."""
     return FrameRun(
         kind=np.array([frame.kind for frame in frames], dtype=np.uint8),
         flags=np.array([frame.flags for frame in frames], dtype=np.uint8),

@@ -240,6 +240,7 @@ class Link(Dialect):
         times, rests = [], []
         for frame in range(frames):
             usable, rest = self._place(int(raw_ns[frame]), bool(run.flags[frame] & Flag.RESTART), now_ns)
+            self._last_arrival_ns = now_ns
             keep[frame] = usable
             if usable:
                 if rest is not None:

@@ -18,11 +18,19 @@ _LETTERS = {"i": "h", "f": "f"}  # of `struct`
 
 
 class Scaling:
-    """What HELLO says of the numbers in SAMPLES, as arrays with a row for each quantity that is used."""
+    """What HELLO says of the numbers in SAMPLES, as arrays with a row for each quantity that is used.
+
+    Attributes:
+        schema, channels, floats: of the frames: which HELLO they follow, how many channels, float32 rather than int16.
+        rails_known: whether the codes at the rails are.
+        flags: quality of every sample.
+        numbers: of each quantity its channel, scale, offset, factor, shift, least and most code.
+    """
 
     def __init__(self, hello: Hello, columns: dict[str, Column]) -> None:
         used = [hello.channels[column.index] for column in columns.values()]
         self.schema, self.layout = hello.schema, SAMPLE_TYPES[hello.channels[0].type]
+        self.floats = self.layout.kind == "f"
         self._letter = _LETTERS[self.layout.kind]
         self.width = len(hello.channels) * self.layout.itemsize
         self.rails_known = any(c.minimum is not None or c.maximum is not None for c in used)
@@ -39,13 +47,13 @@ class Scaling:
                 [np.inf if c.maximum is None else c.maximum for c in used],
             )
         )
-        self._flags = np.uint32(Quality.SIMULATED if hello.simulated else 0)
-        self._usual = np.full(FEW, self._flags)
+        self.flags = np.uint32(Quality.SIMULATED if hello.simulated else 0)
+        self._usual = np.full(FEW, self.flags)
         self._usual.setflags(write=False)  # samples share it
-        self._channels = len(hello.channels)
+        self.channels = len(hello.channels)
         arrays = (self._scale, self._offset, self._factor, self._shift, self._least, self._most)
         numbers = zip(*(array[:, 0].tolist() for array in arrays), strict=True)
-        self._numbers = {
+        self.numbers = {
             quantity: (column.index, *row)
             for (quantity, column), row in zip(columns.items(), numbers, strict=True)
         }
@@ -55,11 +63,11 @@ class Scaling:
         n = len(times)
         if n > FEW:
             return None
-        flat = struct.unpack_from(f"<{n * self._channels}{self._letter}", payload, 2)
+        flat = struct.unpack_from(f"<{n * self.channels}{self._letter}", payload, 2)
         values = {}
-        for quantity, (index, scale, offset, factor, shift, least, most) in self._numbers.items():
+        for quantity, (index, scale, offset, factor, shift, least, most) in self.numbers.items():
             row = []
-            for code in flat[index :: self._channels]:
+            for code in flat[index :: self.channels]:
                 if not least < code < most:  # nor is NaN
                     return None
                 row.append((code * scale + offset) * factor + shift)
@@ -69,7 +77,7 @@ class Scaling:
     def samples(self, codes: NDArray[Any], times: NDArray[np.int64]) -> Samples:
         """Samples of codes (n, channels)."""
         code = codes.T[self._index].astype(np.float64)
-        flags = np.full(len(times), self._flags)
+        flags = np.full(len(times), self.flags)
         if self.rails_known:
             at_rail = (code <= self._least) | (code >= self._most)
             if at_rail.any():

@@ -149,6 +149,8 @@ def _loaded(path: Path) -> Core:
         library.motorlens_start.restype = None
         library.motorlens_push_block.argtypes = [pointer, pointer, pointer, i64, i64]
         library.motorlens_push_block.restype = i64
+        library.motorlens_link_feed.argtypes = [pointer, ctypes.c_char_p, i64, i64, pointer, pointer]
+        library.motorlens_link_feed.restype = i64
         library.motorlens_evaluate_features.argtypes = [pointer, i64, *[pointer] * 3]
         library.motorlens_evaluate_features.restype = None
     except (OSError, AttributeError) as error:
@@ -229,4 +231,35 @@ BlockTable = _structure(
                                    "quality", "features")
     }
 )  # fmt: skip
-STRUCTURES = (SensorTable, StateMemory, StepTable, OperationTable, ProgramTable, BlockTable)
+_COUNTS = (
+    "samples", "lost_samples", "lost_frames", "late_frames", "unknown_frames", "gaps", "restarts", "device_overruns",
+)  # fmt: skip
+_MAX_BODY = 253
+FrameTable = _structure("FrameTable", payload=pointer, length=i32, t0_us=u32, sequence=u16, kind=u8, flags=u8)
+DecoderMemory = _structure("DecoderMemory", body=u8 * _MAX_BODY, length=i32, overlong=i32, bad_frames=u32)
+ChannelTable = _structure(
+    "ChannelTable", scale=f64, offset=f64, factor=f64, shift=f64, least=f64, most=f64, index=i32, used=i32
+)
+ScalingTable = _structure(
+    "ScalingTable", channel=ChannelTable * 3, channels=i32, schema=i32, floats=i32, rails_known=i32, flags=u32
+)
+ClockMemory = _structure(
+    "ClockMemory", anchor_ns=i64, count=i64, numerator=i64, step_ns=i64, offset_ns=i64, last_arrival_ns=i64, started=i32,
+    restarted=i32, sequence=i32, **dict.fromkeys(_COUNTS, i64),
+)  # fmt: skip
+LinkMemory = _structure("LinkMemory", decoder=DecoderMemory, clock=ClockMemory, scaling=ScalingTable)
+SamplesTable = _structure(
+    "SamplesTable", time_ns=pointer, voltage_V=pointer, current_A=pointer, ambient_C=pointer, flags=pointer, room=i64,
+    count=i64,
+)  # fmt: skip
+STRUCTURES = (
+    SensorTable,
+    StateMemory,
+    StepTable,
+    OperationTable,
+    ProgramTable,
+    BlockTable,
+    LinkMemory,
+    FrameTable,
+    SamplesTable,
+)
