@@ -28,7 +28,8 @@ from pathlib import Path
 import numpy as np
 
 from motorlens_firmware_sim import faults
-from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.core_estimator import open_estimator
+from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.line.feed import open_feed
@@ -251,7 +252,7 @@ def equal_to_replay(sensor, rate: int, count: int, got: Estimates) -> bool:
     time_ns = np.arange(count) * 10**9 // rate
     samples = Samples(time_ns, *values, flags=np.full(count, Quality.SIMULATED, dtype=np.uint32))
     rows = Grid(1000.0).rows(time_ns)
-    expected = Estimator(sensor, 1 / rate).push(samples, rows)
+    expected = open_estimator(sensor, 1 / rate).push(samples, rows)
     # Whether the PC kept up is not in the samples.
     got = replace(got, quality=got.quality & ~np.uint32(Quality.OVERLOAD))
     return all(np.array_equal(getattr(got, f), getattr(expected, f)) for f in Estimates.__dataclass_fields__)
@@ -361,7 +362,7 @@ def shuffled(data: bytes, rng: np.random.Generator) -> bytes:
 def simulated_day(sensor_path: str, hours: int) -> list[tuple[str, bool]]:
     """`hours` at 1 kHz as fast as it goes: memory and the slowest filter of `current_squared` against its closed form."""
     sensor = load_sensor(sensor_path)
-    estimator = Estimator(sensor, 1e-3)
+    estimator = open_estimator(sensor, 1e-3)
     n = 1000
     voltage, row = np.full(n, 100.0), np.array([n - 1])
     last = len(sensor.specification.filters) - 1

@@ -20,10 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.core_estimator import open_estimator
+from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.line.framing import Channel, Decoder, Hello, hello_frames, samples_frame
-from motorlens_runtime.line.link import Link
 from motorlens_runtime.sensor.backend import TILE
 from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_runtime.service.service import Service, Settings
@@ -188,7 +189,7 @@ def evaluations(path: str) -> None:
     values = 100 + np.random.default_rng(1).normal(size=n), 8 + np.random.default_rng(2).normal(size=n)
 
     def offline() -> None:
-        estimator = Estimator(sensor, 1e-3)
+        estimator = open_estimator(sensor, 1e-3)
         for k in range(20):
             estimator.push(Samples(np.arange(k * n, (k + 1) * n) * 1_000_000, *values))
 
@@ -203,7 +204,7 @@ def evaluations(path: str) -> None:
         last = np.array([rows - 1])
 
         def live(parts: list[Samples] = parts, last: np.ndarray = last) -> None:
-            estimator = Estimator(sensor, 1e-3)
+            estimator = open_estimator(sensor, 1e-3)
             for part in parts:
                 estimator.push(part, last)
 
@@ -245,7 +246,7 @@ class Frames:
             samples_frame(rows, schema=1, sequence=len(frames) + k, t0_us=k * n * 1_000_000 // rate_Hz)
             for k, rows in enumerate(codes)
         ]
-        self._frames, self._link = iter(frames), Link()
+        self._frames, self._link = iter(frames), open_link()
         # More than the caches of one processor hold, but for the one that all share.
         self._other_data = np.zeros(1 << 20) if cold else None
         self._started_ns = 0
