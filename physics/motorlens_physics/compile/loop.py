@@ -67,29 +67,31 @@ def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> floa
     return worst
 
 
-def act(given: Any, k: int, u: Vector) -> None:
-    """Put into u what acts from sample k on, at its begin."""
-    for j in range(IMPOSED):
-        u[j] = given.acting[k, j]
-    # The values of what is imposed are those of the state.
-    u[IMPOSED_SLOPES], u[IMPOSED_SLOPES + 1] = given.acting[k, 8], given.acting[k, 9]
-    how = given.imposed[k] if given.imposed.size > 0 else 0
+def act(acting: Vector, k: int, u: Vector) -> None:
+    """Put into u the inputs from sample k on, at its begin."""
+    for j in range(IMPOSED_SLOPES):
+        u[j] = acting[k, j]
+
+
+def tie(acting: Vector, how: int, k: int, u: Vector) -> None:
+    """Put into u what is imposed from sample k on; the values are those of the state."""
+    u[IMPOSED_SLOPES], u[IMPOSED_SLOPES + 1] = acting[k, 8], acting[k, 9]
     u[IMPOSED + CURRENT] = 1.0 if how & IMPOSES_CURRENT else 0.0
     u[IMPOSED + SPEED] = 1.0 if how & IMPOSES_SPEED else 0.0
     u[SHORTED] = 1.0 if how & SHORTS else 0.0
 
 
-def impose(given: Any, k: int, u: Vector, x: Vector, to: Any) -> None:
+def impose(acting: Vector, how: int, k: int, u: Vector, x: Vector, S: Vector, beside: Vector) -> None:
     """Set the states that are imposed from sample k on; they answer to nothing but a constant added to what is given."""
     for state in range(2):
         if u[IMPOSED + state] != 0.0:
-            x[state] = given.acting[k, 6 + state]
-            if to.S.size > 0:
-                for j in range(to.S.shape[1]):
-                    to.S[state, j] = 0.0
-                none = given.imposed[k] & (LOCKS if state == SPEED else OPENS)
-                if to.beside[1 + state] >= 0 and none == 0:
-                    to.S[state, to.beside[1 + state]] = 1.0
+            x[state] = acting[k, 6 + state]
+            if S.size > 0:
+                for j in range(S.shape[1]):
+                    S[state, j] = 0.0
+                none = how & (LOCKS if state == SPEED else OPENS)
+                if beside[1 + state] >= 0 and none == 0:
+                    S[state, beside[1 + state]] = 1.0
 
 
 def terminal(
@@ -217,22 +219,11 @@ def hold(
     return after
 
 
-def show(
-    balance: Any, linear: Any, given: Any, k: int, u: Vector, x: Vector, out: Vector, to: Any, slopes: Vector
-) -> None:
-    """Write down sample k: the states, the terminal voltage where anything is imposed, and the sensitivities of both."""
-    n, asked = to.S.shape[0], to.kept.shape[2]
-    for j in range(x.size):
-        out[k, j] = x[j]
-    if given.imposed.size > 0:
-        out[k, x.size] = terminal(balance, linear, x, given.p, given.time[k], u, to, slopes)
-    if to.kept.size > 0:
-        for r in range(n):
-            for j in range(asked):
-                to.kept[k, r, j] = to.S[r, j]
-        if given.imposed.size > 0:
-            for j in range(asked):
-                to.kept[k, n, j] = slopes[j]
+def keep(S: Vector, kept: Vector, k: int) -> None:
+    """Write down the sensitivities of sample k."""
+    for r in range(S.shape[0]):
+        for j in range(kept.shape[2]):
+            kept[k, r, j] = S[r, j]
 
 
 def integrate(
@@ -244,13 +235,35 @@ def integrate(
     Returns -1, or the sample where no step was small enough or none is left. The functions are those of
     `compile.source` and `variational`. Sensitivities are carried along into `to` if there are any.
     """
-    time, p, x, carry, smooth = given.time, given.p, course.x, course.carry, given.smooth
+    time, acting, imposed, p, smooth = given.time, given.acting, given.imposed, given.p, given.smooth
+    x, carry, atol, rtol = course.x, course.carry, course.atol, course.rtol
+    S, kept, matrices = to.S, to.kept, to.matrices
     y, e, z, u = x.copy(), x.copy(), x.copy(), np.zeros(ACTING)
-    trial, opening, sensitive, slopes = carry[TRIAL], math.inf, to.S.size > 0, np.zeros(to.kept.shape[2])
-    act(given, 0, u)
-    impose(given, 0, u, x, to)
-    show(balance, linear, given, 0, u, x, out, to, slopes)
-    for k in range(time.size - 1):
+    trial, opening, sensitive, tied = carry[TRIAL], math.inf, S.size > 0, imposed.size > 0
+    slopes, n = np.zeros(kept.shape[2]), x.size
+    for k in range(time.size):
+        act(acting, k, u)
+        if tied:
+            tie(acting, imposed[k], k, u)
+            impose(acting, imposed[k], k, u, x, S, to.beside)
+            out[k, n] = terminal(balance, linear, x, p, time[k], u, to, slopes)
+        for j in range(n):
+            out[k, j] = x[j]
+        if kept.size > 0:
+            keep(S, kept, k)
+            for j in range(slopes.size if tied else 0):
+                kept[k, S.shape[0], j] = slopes[j]
+        if matrices.size > 0:
+            if k > 0:
+                first = S.shape[1] - matrices.shape[2]
+                for r in range(S.shape[0]):
+                    for c in range(matrices.shape[2]):
+                        matrices[k - 1, r, c] = S[r, first + c]
+            begin(S)
+            if tied:
+                impose(acting, imposed[k], k, u, x, S, to.beside)
+        if k == time.size - 1:
+            break
         span = time[k + 1] - time[k]
         turned = u[IMPOSED + SPEED] != 0.0
         if p[INDUCTANCE] == 0.0 and u[IMPOSED + CURRENT] == 0.0:
@@ -258,9 +271,6 @@ def integrate(
             for _ in range(3):
                 step(x, p, time[k], u, 1e-9 * span, 1.0, 0.0, y, e, z)
                 x[CURRENT] = y[CURRENT]
-        if to.matrices.size > 0:
-            begin(to.S)
-            impose(given, k, u, x, to)
         past, released = 0.0, 0.0
         # What the inputs do anew at each sample asks for about the same first step each time.
         trial = min(trial, OPENING * opening)
@@ -270,7 +280,7 @@ def integrate(
                 return k
             t = time[k] + past
             for j in range(SLOPES):
-                u[j] = given.acting[k, j] + u[SLOPES + j] * past
+                u[j] = acting[k, j] + u[SLOPES + j] * past
             side, go, excess = 0.0, 1.0, 0.0
             if not smooth:
                 side = 1.0 if x[SPEED] > 0.0 else -1.0
@@ -288,7 +298,7 @@ def integrate(
             if h < left < 2.0 * h:
                 h = 0.5 * left
             step(x, p, t, u, h, side, go, y, e, z)
-            error = error_of(x, y, e, course.atol, course.rtol)
+            error = error_of(x, y, e, atol, rtol)
             if not error <= 1.0:
                 carry[REJECTED] += 1.0
                 trial = h * (max(SHRINK, SAFETY * error**-0.25) if error < math.inf else 0.1)
@@ -327,7 +337,7 @@ def integrate(
                     after = 0.0
                     if then != 0.0:
                         _, after = balance(y, p, t, u, h, then)
-                    turn(after / before, to.S)
+                    turn(after / before, S)
             for j in range(x.size):
                 x[j] = y[j]
             if abs(x[SPEED]) < 1e-200:
@@ -341,13 +351,5 @@ def integrate(
             grown = h * min(GROW, SAFETY * max(error, 1e-8) ** -0.25)
             # A step cut short by the end of a sample says nothing against the longer one that was planned.
             trial = max(grown, trial) if h < trial else grown
-        act(given, k + 1, u)
-        impose(given, k + 1, u, x, to)
-        show(balance, linear, given, k + 1, u, x, out, to, slopes)
-        if to.matrices.size > 0:
-            first = to.S.shape[1] - to.matrices.shape[2]
-            for r in range(to.S.shape[0]):
-                for c in range(to.matrices.shape[2]):
-                    to.matrices[k, r, c] = to.S[r, first + c]
     carry[TRIAL] = trial
     return -1
