@@ -15,31 +15,16 @@ from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motorlens_physics.compile import Compiled, compiled
-from motorlens_physics.compile.types import (
-    ACCEPTED,
-    ALLOWED,
-    IMPOSES_CURRENT,
-    IMPOSES_SPEED,
-    LOCKS,
-    OPENS,
-    REJECTED,
-    SHORTS,
-    SLOPES,
-    Course,
-    Given,
-    Variations,
-)  # fmt: skip
-from motorlens_physics.conditions import Shaft, Terminal, codes
+from motorlens_physics.compile.types import ACCEPTED, ALLOWED, REJECTED, Course, Given, Variations
 from motorlens_physics.effect import Effect
+from motorlens_physics.inputs import Array, Inputs, acting_of
 from motorlens_physics.motor import Motor
 from motorlens_physics.symbols import System, in_order, parameter_values, trace
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import DataError, ModelError
 
-Array = NDArray[np.float64]
 TOLERANCE = 1e-6
 # Steps, rejected ones included, that a simulation may try for each sample on average unless its caller says otherwise, and
 # how many beside. A sample in which everything settles anew takes 35 or so whatever the time constants
@@ -50,74 +35,6 @@ _NOTHING = Variations(
     S=_NO_MATRIX, kept=_NO_CUBE, matrices=_NO_CUBE, slots=_NO_INDEX, beside=_NO_INDEX, a=_NO_CUBE, g=_NO_CUBE,
     over=_NO_MATRIX, T=_NO_MATRIX,
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What acts on a motor: (N,) float64 each; between samples held at the earlier one, or linear.
-
-    Attributes:
-        time_s: strictly increasing, spacing may vary.
-        voltage_V: at the terminals.
-        load_torque_Nm: positive against a forward rotation.
-        ambient_C: ambient temperature.
-        held: whether the values hold until the next sample (a drive's output) or run linearly to it: of all, or of voltage,
-            load torque and ambient each.
-        terminal: (N,) of `Terminal`; None: driven throughout. The voltage is that of samples where they are driven.
-        shaft: (N,) of `Shaft`; None: free throughout.
-        current_A: (N,) what a current-controlled drive imposes; held or linear as the voltage would be.
-        speed_rad_s: (N,) what turns the shaft imposes; linear.
-    """
-
-    time_s: Array
-    voltage_V: Array
-    load_torque_Nm: Array
-    ambient_C: Array
-    held: bool | tuple[bool, bool, bool] = False
-    terminal: NDArray[np.int64] | None = None
-    shaft: NDArray[np.int64] | None = None
-    current_A: Array | None = None
-    speed_rad_s: Array | None = None
-
-    def __post_init__(self) -> None:
-        self._check_conditions()
-        given = [name for name in ("current_A", "speed_rad_s") if getattr(self, name) is not None]
-        for name in ("time_s", "voltage_V", "load_torque_Nm", "ambient_C", *given):
-            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, values)
-            if values.shape != self.time_s.shape or values.ndim != 1:
-                raise DataError(
-                    f"inputs: {name} has shape {values.shape}, time_s has {np.shape(self.time_s)}"
-                )
-            if not np.isfinite(values).all():
-                raise DataError(
-                    f"inputs: {name} is not finite at sample {int(np.argmin(np.isfinite(values)))}"
-                )
-        backwards = np.diff(self.time_s) <= 0
-        if backwards.any():
-            raise DataError(f"inputs: time_s does not increase at sample {int(np.argmax(backwards)) + 1}")
-        if self.time_s.size == 0:
-            raise DataError("inputs: no samples")
-
-    def _check_conditions(self) -> None:
-        for name, kind, imposed, by in (
-            ("terminal", Terminal, "current_A", Terminal.CURRENT),
-            ("shaft", Shaft, "speed_rad_s", Shaft.TURNED),
-        ):
-            values = getattr(self, name)
-            if values is None:
-                continue
-            given = codes(kind, values, f"inputs: {name}")
-            object.__setattr__(self, name, given)
-            if given.shape != np.shape(self.time_s):
-                raise DataError(f"inputs: {name} has shape {given.shape}, time_s has {np.shape(self.time_s)}")
-            if (given == by).any() and getattr(self, imposed) is None:
-                raise DataError(f"inputs: {name} is {by.name.lower()}, but {imposed} is not given")
-
-    @property
-    def hold(self) -> tuple[bool, bool, bool]:
-        """Whether voltage, load torque and ambient hold between samples, each."""
-        return (self.held,) * 3 if isinstance(self.held, bool) else self.held
 
 
 @dataclass(frozen=True)
@@ -323,7 +240,7 @@ def run(
     for name in ("R_a0", "J", "H"):
         if getattr(motor, name) <= 0:
             raise ModelError(f"{name} = {getattr(motor, name):g}: must be positive")
-    acting, imposed = _acting(inputs)
+    acting, imposed = acting_of(inputs)
     largest = x.copy()
     if imposed.size:
         largest[:2] = np.maximum(np.abs(x[:2]), np.abs(acting[:, 6:8]).max(axis=0))
@@ -343,43 +260,6 @@ def run(
     states = {name: out[:, j] for j, name in enumerate(system.states[: system.of_motor])}
     steps = int(course.carry[ACCEPTED] + course.carry[REJECTED])
     return Trajectory(motor, inputs, states, steps, out[:, -1] if imposed.size else None)
-
-
-def _acting(inputs: Inputs) -> tuple[Array, NDArray[np.int64]]:
-    """What acts on the motor from each sample on, and what is imposed, see `compile.types.Given`."""
-    samples, spans = inputs.time_s.size, np.diff(inputs.time_s)
-    acting = np.zeros((samples, 10))
-
-    def put(value: int, slope: int, y: Array, runs: NDArray[np.bool_] | bool) -> None:
-        acting[:, value] = y
-        if samples > 1:
-            acting[:-1, slope] = np.diff(y) / spans * runs
-            acting[-1, slope] = acting[-2, slope]
-
-    held = inputs.hold
-    for j, y in enumerate((inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C)):
-        put(j, SLOPES + j, y, not held[j])
-    if inputs.terminal is None and inputs.shaft is None:
-        return acting, _NO_INDEX
-    terminal = np.zeros(samples, dtype=np.int64) if inputs.terminal is None else inputs.terminal
-    shaft = np.zeros(samples, dtype=np.int64) if inputs.shaft is None else inputs.shaft
-    for j, (tied, imposed, runs) in enumerate(
-        (
-            (terminal == Terminal.CURRENT, inputs.current_A, not held[0]),
-            (shaft == Shaft.TURNED, inputs.speed_rad_s, True),
-        )
-    ):
-        if imposed is not None and tied.any():
-            put(6 + j, 8 + j, np.where(tied, imposed, 0.0), tied[:-1] & tied[1:] & runs)
-    acting[(terminal == Terminal.SHORTED)[:, None] & np.isin(np.arange(10), (0, SLOPES))] = 0.0
-    how = (
-        IMPOSES_CURRENT * np.isin(terminal, (Terminal.OPEN, Terminal.CURRENT))
-        + IMPOSES_SPEED * np.isin(shaft, (Shaft.LOCKED, Shaft.TURNED))
-        + OPENS * (terminal == Terminal.OPEN)
-        + LOCKS * (shaft == Shaft.LOCKED)
-        + SHORTS * (terminal == Terminal.SHORTED)
-    )
-    return acting, how.astype(np.int64) if how.any() else _NO_INDEX
 
 
 def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:
@@ -448,3 +328,7 @@ def _structure(
     motor = Motor(effects=tuple(effect() for effect in effects))
     system = trace(motor, [effect() for effect in candidates], forced=forced)
     return system, compiled(system)
+
+
+__all__ = ["STEPS_A_SAMPLE", "STEPS_BESIDE", "TOLERANCE", "Array", "Inputs", "Stepper", "Trajectory", "initial_states",
+           "run", "simulate", "simulate_batch", "structure"]  # fmt: skip
