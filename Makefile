@@ -39,13 +39,13 @@ check: .venv/everything
 	$(PYTEST)
 	@echo "All good."
 
-# The long studies. `make bench BENCH=--quick` is the short form of each.
+# The studies of benchmarks/measured.toml, written to docs/measured.md. `make bench BENCH=--quick`: those of minutes.
 .venv/bench: .venv/everything
 	$(PIP) --constraint constraints.txt --editable '.[all,dev,bench]'
 	touch $@
 
 bench: .venv/bench
-	for study in benchmarks/*.py; do echo "== $$study"; $(BIN)/python $$study $(BENCH) || exit 1; done
+	$(BIN)/python benchmarks/collect.py $(BENCH)
 
 # Hardware in the loop: counts and bits are gates, latencies are reported beside the machine's load.
 hil: .venv/everything

@@ -21,7 +21,8 @@ from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated, parameters
 from motorlens_physics.recording import Recording
-from motorlens_physics.simulation import Inputs, cores, simulate
+from motorlens_physics.simulation import Inputs, simulate
+from motorlens_physics.threads import cores
 
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 NOISE = {"current": 0.05, "speed": 0.5, "temperature": 0.3}

@@ -13,8 +13,8 @@ The peer is what one would write with scipy for the first step alone, the fit of
 """
 
 import argparse
+import json
 import os
-import re
 import resource
 import subprocess
 import sys
@@ -62,6 +62,7 @@ def recordings(name: str, folder: Path) -> tuple[list[Path], Path, Case]:
 
 def diagnosed(paths: list[Path], motor: Path, cache: Path) -> Timing:
     """Run the command as a user does, and time it by its lines of progress."""
+    told = motor.with_name("told.json")
     environment = os.environ | {"XDG_CACHE_HOME": str(cache), "NUMBA_CACHE_DIR": str(cache / "numba")}
     words = [
         str(Path(sys.executable).with_name("motorlens")),
@@ -69,6 +70,8 @@ def diagnosed(paths: list[Path], motor: Path, cache: Path) -> Timing:
         *map(str, paths),
         "--motor",
         str(motor),
+        "--json",
+        str(told),
     ]
     spent = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     begun = time.monotonic()
@@ -79,7 +82,7 @@ def diagnosed(paths: list[Path], motor: Path, cache: Path) -> Timing:
         assert process.stderr is not None and process.stdout is not None
         for line in process.stderr:
             stamps.append((time.monotonic() - begun, line))
-        verdict = process.stdout.readline().strip()
+        process.stdout.read()
     whole = time.monotonic() - begun
     if process.returncode:
         raise SystemExit("".join(line for _, line in stamps))
@@ -87,7 +90,7 @@ def diagnosed(paths: list[Path], motor: Path, cache: Path) -> Timing:
     screen = next(k for k, (_, line) in enumerate(stamps) if "screening all" in line)
     processor = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - spent
     return Timing(
-        re.split(r"[:(]", verdict)[0],
+        json.loads(told.read_text(encoding="utf-8"))["verdict"],
         begins[screen] - begins[0],
         begins[screen + 1] - begins[screen],
         whole,

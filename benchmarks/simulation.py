@@ -28,7 +28,8 @@ from motorlens_physics.effect import catalogue
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Rated, parameters
 from motorlens_physics.sensitivity import sensitivities
-from motorlens_physics.simulation import Inputs, cores, simulate, simulate_batch
+from motorlens_physics.simulation import Inputs, simulate, simulate_batch
+from motorlens_physics.threads import cores
 
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 RTOL, ATOL = 1e-6, 1e-7

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from motorlens_physics.conditions import Shaft, Terminal, code, codes
 from motorlens_physics.reading import read_table
 from motorlens_physics.reading.clock import steady
-from motorlens_physics.reading.suspicion import gaps_and_channels, no_value, whole_numbers
+from motorlens_physics.reading.suspicion import gaps_and_channels, no_value
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import (
@@ -30,6 +30,7 @@ from motorlens_runtime.files.columns import (
     require,
     understand,
 )
+from motorlens_runtime.files.guesses import refuse_counts
 
 Array = NDArray[np.float64]
 
@@ -112,7 +113,7 @@ def read_recording(
     channels = {quantity: column.values(numbers.__getitem__) for quantity, column in columns.items()}
     if len(channels["time"]) < 2:
         raise DataError(f"{path}: {len(channels['time'])} rows of data; a recording needs at least two")
-    _not_counts(path, columns, channels)
+    refuse_counts(columns, channels.__getitem__, str(path))
     notes = [*table.notes, *_about_columns(table.headings, columns)]
     return _Reader(path, columns, table.first_row, notes).recording(channels, no_values)
 
@@ -201,26 +202,6 @@ def _about_columns(headings: Sequence[str], columns: Mapping[str, Column]) -> li
             choice = shlex.quote(f"{quantity}={like[0]}")
             notes.append(f"no {quantity}; it may be {' or '.join(like)}: --column {choice}")
     return notes
-
-
-def _not_counts(path: Path, columns: Mapping[str, Column], channels: Mapping[str, Array]) -> None:
-    """Refuse whole numbers without a unit where reading them as SI would be a guess."""
-    time = columns["time"]
-    if time.assumed and np.all(channels["time"] == np.round(channels["time"])):
-        raise DataError(
-            f"{path}: column {time.heading!r} holds whole numbers without a unit: seconds, milliseconds or a count of rows? "
-            f"Say which: --column time_s={time.heading}, --column time_ms={time.heading}, or "
-            f"--column 'time={time.heading}*0.001[s]' for rows at 1 kHz"
-        )
-    for quantity in ("voltage", "current"):
-        column = columns.get(quantity)
-        if column is not None and column.assumed and not column.formula and whole_numbers(channels[quantity]):
-            unit = QUANTITIES[quantity][0]
-            raise DataError(
-                f"{path}: column {column.heading!r} holds whole numbers without a unit: counts of a converter? Scale them, "
-                f"--column '{quantity}={column.heading}*0.01[{unit}]', or say the unit: "
-                f"--column {quantity}_{unit}={column.heading}"
-            )
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ Array = NDArray[np.float64]
 # A word for "no value" stands alone, is a whole number, and comes back: so often, for so many samples, so many times as far
 # from its neighbours as these are from each other.
 _TIMES, _LONGEST, _FAR = 3, 10, 5.0
-# So many different whole numbers are a converter's; a command that is given in whole volts has fewer.
-_WHOLE = 32
 # So much of the voltage is explained by current and speed where their signs can be judged, and so many deviations.
 _EXPLAINED, _SURE = 0.5, 5.0
 # So many rows show a sign.
@@ -57,12 +55,6 @@ def no_value(y: Array, voltage: Array | None) -> float | None:
         if count >= max(_TIMES, 0.5 * np.sum(value == word)):
             return float(word)
     return None
-
-
-def whole_numbers(y: Array) -> bool:
-    """Whether a channel holds a converter's counts: many different values, all of them whole."""
-    finite = y[np.isfinite(y)]
-    return bool(np.all(finite == np.round(finite))) and len(np.unique(finite)) >= _WHOLE
 
 
 def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:

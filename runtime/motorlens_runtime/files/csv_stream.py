@@ -21,6 +21,7 @@ from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.files.columns import require, understand
 from motorlens_runtime.files.decimal_text import read
+from motorlens_runtime.files.guesses import refuse_counts
 from motorlens_runtime.files.layout import HEAD_BYTES, is_comment, layout_of, number
 
 Array = NDArray[np.float64]
@@ -137,6 +138,8 @@ class CsvStream:
         self._row += lines
         if not len(table):
             return
+        if first_row == self._layout.first_row:
+            refuse_counts(self.columns, lambda quantity: self._channel(table, quantity), self.name)
         numbers = rows if rows is not None else np.arange(first_row, first_row + lines)
         time_ns = self._time(table, numbers)
         voltage, current = self._channel(table, "voltage"), self._channel(table, "current")
