@@ -117,7 +117,7 @@ def test_no_time_to_a_limit_is_told_while_the_line_is_lost(page):
 
 
 def test_voltage_and_current_go_along_while_they_come(page):
-    for (time_ns, word), pair in zip(page.rows, page.inputs, strict=True):
+    for (time_ns, _), pair in zip(page.rows, page.inputs, strict=True):
         if 1.0 < time_ns * 1e-9 < 11.0005:
             assert pair is None
         else:
