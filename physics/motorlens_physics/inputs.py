@@ -1,6 +1,7 @@
 """What acts on a motor: voltage, load and ambient, sample by sample, and what its terminals and its shaft are tied to."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,11 @@ class Inputs:
                 raise DataError(f"inputs: {name} has shape {given.shape}, time_s has {np.shape(self.time_s)}")
             if (given == by).any() and getattr(self, imposed) is None:
                 raise DataError(f"inputs: {name} is {by.name.lower()}, but {imposed} is not given")
+
+    def part(self, rows: slice) -> "Inputs":
+        """Some consecutive samples, with what their terminals and shaft are tied to."""
+        own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Inputs(**{name: y[rows] if isinstance(y, np.ndarray) else y for name, y in own.items()})
 
     @property
     def hold(self) -> tuple[bool, bool, bool]:

@@ -191,6 +191,16 @@ def test_a_sample_shows_what_is_so_from_then_on() -> None:
     assert (run.voltage_V[terminal == Terminal.DRIVEN] == 120.0).all()
 
 
+def test_a_part_of_the_samples_is_simulated_as_in_the_whole() -> None:
+    whole = simulate(FULL, SWITCHED, tolerance=1e-9)
+    first = 450
+    state = {name: float(y[first]) for name, y in whole.states.items()}
+    part = simulate(FULL, SWITCHED.part(slice(first, 900)), state, tolerance=1e-9)
+    for name in ("i", "w", "theta"):
+        np.testing.assert_allclose(part.states[name], whole.states[name][first:900], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(part.voltage_V[1:-1], whole.voltage_V[first + 1 : 899], rtol=1e-5, atol=1e-4)
+
+
 def test_energy_is_conserved_between_the_switches() -> None:
     motor = Motor(k_ir=0.0, effects=(CoulombFriction(tau_c=0.4),))
     fine = np.arange(20001) * 1e-4
