@@ -78,8 +78,9 @@ class Inputs:
 
     def part(self, rows: slice) -> "Inputs":
         """Some consecutive samples, with what their terminals and shaft are tied to."""
-        own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Inputs(**{name: y[rows] if isinstance(y, np.ndarray) else y for name, y in own.items()})
+        own: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        own |= {name: y[rows] for name, y in own.items() if isinstance(y, np.ndarray)}
+        return Inputs(**own)
 
     @property
     def hold(self) -> tuple[bool, bool, bool]:
