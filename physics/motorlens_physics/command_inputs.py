@@ -3,12 +3,16 @@
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from motorlens_physics.effect import Effect
-from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import WORDS
+
+# Only for names of types: the overview of all commands loads this module, and must not wait for scipy and numba.
+if TYPE_CHECKING:
+    from motorlens_physics.effect import Effect
+    from motorlens_physics.motor_file import MotorFile
+    from motorlens_physics.recording import Recording
 
 
 def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = True) -> None:
@@ -50,14 +54,14 @@ def add_condition_arguments(parser: argparse.ArgumentParser) -> None:
 class CommandInputs:
     """The motor file, the user's own effects, and how recordings are read."""
 
-    file: MotorFile
-    effects: tuple[type[Effect], ...]
+    file: "MotorFile"
+    effects: "tuple[type[Effect], ...]"
     columns: tuple[str, ...]
     no_values: tuple[float, ...] | None
     terminal: str | None = None
     shaft: str | None = None
 
-    def recordings(self, paths: Sequence[str]) -> list[Recording]:
+    def recordings(self, paths: Sequence[str]) -> "list[Recording]":
         """Read recordings. Raises DataError and OSError, see `recording.read_recording`."""
         from motorlens_physics.recording import read_recording, under
 
@@ -67,7 +71,7 @@ class CommandInputs:
         ]
 
 
-def inputs_from(arguments: argparse.Namespace, file: MotorFile | None = None) -> CommandInputs:
+def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) -> CommandInputs:
     """What the flags of `add_input_arguments` name; `file` in place of that of `--motor`.
 
     Raises:
@@ -97,7 +101,7 @@ def input_words(arguments: argparse.Namespace) -> list[str]:
     return words + (["--effects-from", arguments.effects_from] if arguments.effects_from else [])
 
 
-def print_notes(recordings: Sequence[Recording]) -> None:
+def print_notes(recordings: "Sequence[Recording]") -> None:
     """What was found while reading, one line each."""
     for recording in recordings:
         for note in recording.notes:
