@@ -221,6 +221,7 @@ def test_matlab_files_are_read_by_channel(tmp_path):
         read_recording(tmp_path / "no.mat")
 
 
+@pytest.mark.fit
 @pytest.mark.filterwarnings("ignore")
 def test_mdf_files_are_read_by_channel(tmp_path):
     asammdf = pytest.importorskip("asammdf")

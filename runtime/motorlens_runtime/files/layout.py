@@ -144,7 +144,7 @@ def _encoding(head: bytes, where: str) -> str:
                     return encoding
             else:
                 return encoding
-    raise DataError(f"{where}: not a text file; a recording is CSV with a heading line, or Parquet")
+    raise DataError(f"{where}: not a text file; save a spreadsheet as CSV, with a heading line")
 
 
 def _writing(lines: Sequence[str]) -> tuple[str, str, int, int]:

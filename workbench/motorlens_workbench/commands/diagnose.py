@@ -16,7 +16,7 @@ from motorlens_runtime.cli import add_json_argument, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings, CSV or Parquet")
+    parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings: CSV, Parquet, MAT, MDF")
     add_input_arguments(parser)
     parser.add_argument(
         "--driven",

@@ -13,7 +13,7 @@ from motorlens_runtime.cli import add_json_argument
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("recordings", nargs="*", metavar="REC", help="recordings, CSV or Parquet")
+    parser.add_argument("recordings", nargs="*", metavar="REC", help="recordings: CSV, Parquet, MAT, MDF")
     parser.add_argument("--motor", metavar="MOTOR.toml", help="motor file to begin with")
     parser.add_argument(
         "--folder", metavar="DIR",
