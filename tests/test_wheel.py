@@ -8,6 +8,7 @@ import venv
 from pathlib import Path
 
 import pytest
+from helpers.processes import Program
 from helpers.sensor_files import write_sensor
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,7 +39,7 @@ def wheel(tmp_path_factory):
     """The wheel, built once from this checkout."""
     folder = tmp_path_factory.mktemp("dist")
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
-    subprocess.run(build, check=True, capture_output=True)
+    subprocess.run(build, check=True, capture_output=True, timeout=600)
     (built,) = folder.glob("motorlens-*.whl")
     return built
 
@@ -62,7 +63,7 @@ def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_
         "--no-index",
         str(wheel),
     ]
-    subprocess.run(install, check=True, capture_output=True)
+    subprocess.run(install, check=True, capture_output=True, timeout=600)
     empty = tmp_path / "empty"
     empty.mkdir()
     clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
@@ -76,18 +77,18 @@ def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_
         return done.stdout
 
     where = [python, "-c", "import motorlens_runtime as m; print(m.__file__)"]
-    assert str(site) in subprocess.run(where, env=clean, capture_output=True, text=True, check=True).stdout
+    assert (
+        str(site)
+        in subprocess.run(where, env=clean, capture_output=True, text=True, check=True, timeout=600).stdout
+    )
     run("simulate", "mellah2016", "--scenario", "load_steps", "--noise", "0.2%", "-o", "bench.csv")
     assert "speed" in run("compare", "bench.csv", "--motor", "mellah2016")
     run("infer", "bench.csv", "--sensor", "mellah2016", "-o", "estimates.csv")
     rows = (empty / "bench.csv").read_text().count("\n")
     assert (empty / "estimates.csv").read_text().count("\n") == rows
     drive = [motorlens, "drive", "--duration", "1"]
-    with subprocess.Popen(drive, cwd=empty, env=clean, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("/dev/")
-        process.terminate()
-        process.wait(timeout=30)
+    with Program(drive, cwd=empty, env=clean) as program:
+        assert program.line().startswith("/dev/"), program.told()
 
 
 @pytest.mark.fit
@@ -95,12 +96,16 @@ def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path, wh
     write_inputs(tmp_path)
     venv.create(tmp_path / "clean", with_pip=True)
     python = tmp_path / "clean" / "bin" / "python"
-    installed = subprocess.run([python, "-m", "pip", "install", "-q", wheel], capture_output=True, text=True)
+    installed = subprocess.run(
+        [python, "-m", "pip", "install", "-q", wheel], capture_output=True, text=True, timeout=600
+    )
     if installed.returncode and "No matching distribution" in installed.stderr:
         pytest.skip("no package index can be reached from here")
     assert installed.returncode == 0, installed.stderr
     clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = subprocess.run([python, "-c", SCRIPT], cwd=tmp_path, env=clean, capture_output=True, text=True)
+    done = subprocess.run(
+        [python, "-c", SCRIPT], cwd=tmp_path, env=clean, capture_output=True, text=True, timeout=600
+    )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout.splitlines()[-1])
     assert result["status"] == 0
@@ -112,13 +117,13 @@ def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path, wh
     # the one command is there, and says in one line what an extra would bring
     motorlens = tmp_path / "clean" / "bin" / "motorlens"
     command = [motorlens, "infer", "rec.csv", "--sensor", "s.onnx", "-o", "out.parquet"]
-    refused = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True)
+    refused = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True, timeout=600)
     assert refused.returncode == 1
     assert (
         refused.stderr.strip()
         == "motorlens infer: needs pyarrow, which is not installed: pip install 'motorlens[publish]'"
     )
-    overview = subprocess.run([motorlens, "--help"], env=clean, capture_output=True, text=True)
+    overview = subprocess.run([motorlens, "--help"], env=clean, capture_output=True, text=True, timeout=600)
     assert overview.returncode == 0, overview.stderr
 
 
@@ -134,7 +139,11 @@ class Block:
 sys.meta_path.insert(0, Block())
 """
     done = subprocess.run(
-        [sys.executable, "-c", block + SCRIPT], cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "-c", block + SCRIPT],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["status"] == 0
@@ -146,13 +155,17 @@ def test_without_onnx_runtime_the_numpy_backend_gives_the_same(tmp_path):
     write_inputs(tmp_path)
     block = "import sys\nsys.modules['onnxruntime'] = None\n"
     done = subprocess.run(
-        [sys.executable, "-c", block + SCRIPT], cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "-c", block + SCRIPT],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     numpy_rows = [
         list(map(float, line.split(","))) for line in (tmp_path / "out.csv").read_text().splitlines()[1:]
     ]
-    subprocess.run([sys.executable, "-c", SCRIPT], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run([sys.executable, "-c", SCRIPT], cwd=tmp_path, check=True, capture_output=True, timeout=600)
     ort_rows = [
         list(map(float, line.split(","))) for line in (tmp_path / "out.csv").read_text().splitlines()[1:]
     ]

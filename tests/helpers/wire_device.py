@@ -82,8 +82,8 @@ class WireDevice:
             poll = select.poll()
             poll.register(self.master, select.POLLIN)
             while not self.stop.is_set() and any(event & select.POLLHUP for _, event in poll.poll(0)):
-                time.sleep(0.01)
-            time.sleep(0.2)
+                self.stop.wait(0.01)
+            self.stop.wait(0.2)
             self.work()
 
         self.thread = threading.Thread(target=wait, daemon=True)

@@ -19,6 +19,8 @@ from motorlens_physics.sensors.gain import SensorGain
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_runtime.errors import DataError, ModelError
 
+pytestmark = pytest.mark.fit
+
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 NOISE = {"current": 0.05, "speed": 0.5, "temperature": 0.3}
 KEYS = tuple(parameters(Motor))
@@ -71,7 +73,6 @@ def fleet() -> list[tuple[Calibration, MotorFile]]:
     return found
 
 
-@pytest.mark.fit
 def test_ten_parameters_are_recovered_within_their_deviations(
     fleet: list[tuple[Calibration, MotorFile]],
 ) -> None:
@@ -102,7 +103,6 @@ def test_the_file_says_what_was_found(fleet: list[tuple[Calibration, MotorFile]]
     assert again.knowledge["ke"] == found.file.knowledge["ke"]
 
 
-@pytest.mark.fit
 def test_the_data_may_come_from_another_integrator() -> None:
     rng = np.random.default_rng(11)
     truth = Motor(R_a0=4.1, ke=0.85, J=0.025)
@@ -198,7 +198,6 @@ def test_outliers_hardly_matter() -> None:
     assert found.value["ke"] == pytest.approx(0.85, rel=1e-3)
 
 
-@pytest.mark.fit
 def test_coloured_residuals_are_whitened() -> None:
     rng = np.random.default_rng(17)
     off, sharper = [], []
@@ -222,7 +221,6 @@ def test_coloured_residuals_are_whitened() -> None:
     assert 0.1 < np.mean(sharper) < 0.9
 
 
-@pytest.mark.fit
 def test_a_run_that_drifts_is_cut_into_windows() -> None:
     # A slow random torque that nobody measured carries the free run away; windows tied at their ends follow it.
     rng = np.random.default_rng(18)

@@ -24,7 +24,9 @@ OFFLINE = ["unshare", "--net", "--map-root-user"]
 
 
 def run(*command, **options):
-    return subprocess.run([*map(str, command)], capture_output=True, text=True, check=False, **options)
+    return subprocess.run(
+        [*map(str, command)], capture_output=True, text=True, check=False, timeout=600, **options
+    )
 
 
 def index_is_there():
@@ -123,6 +125,7 @@ def test_a_damaged_copy_and_a_wrong_machine_are_refused(bundled, tmp_path):
     assert run("sh", copy / "install.sh", "--prefixx").returncode == 2
 
 
+@pytest.mark.fit
 def test_checksums_are_those_of_the_files(bundled):
     target, found = bundled
     listed = dict(reversed(line.split("  ", 1)) for line in (target / "SHA256SUMS").read_text().splitlines())

@@ -241,7 +241,7 @@ def test_no_warning_of_a_strict_compiler(compiler, single, tmp_path):
     subprocess.run(
         [compiler, "-std=c99", "-pedantic", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow",
          "-Werror", "-c", *(path.name for path in sorted(tmp_path.glob("*.c")))],
-        check=True, cwd=tmp_path,
+        check=True, cwd=tmp_path, timeout=600,
     )  # fmt: skip
 
 

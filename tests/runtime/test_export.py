@@ -50,9 +50,11 @@ def test_what_is_exported_compiles_strictly_and_gives_its_golden_values(name, pr
         subprocess.run(
             [compilers()[0], *STRICT_FLAGS, *strict, "-O1", "-o", program, f"{program}.c",
              *(path.name for path in sources(tmp_path / "c")), "-lm"],
-            cwd=tmp_path / "c", check=True,
+            cwd=tmp_path / "c", check=True, timeout=600,
         )  # fmt: skip
-    assert subprocess.run([tmp_path / "c/golden_test"], stdout=subprocess.DEVNULL).returncode == 0
+    assert (
+        subprocess.run([tmp_path / "c/golden_test"], stdout=subprocess.DEVNULL, timeout=600).returncode == 0
+    )
     text = "\n".join(path.read_text() for path in sources(tmp_path / "c"))
     assert "malloc" not in text and "printf" not in text
 
@@ -63,7 +65,7 @@ def test_the_example_follows_a_stream_as_the_runtime_does(tmp_path):
     export(tmp_path / "c", SHIPPED / "mellah2016_observer.onnx", "--double", "--name", "winding")
     subprocess.run(
         [compilers()[0], *STRICT_FLAGS, "-O2", "-o", "main", "main.c",
-         *(path.name for path in sources(tmp_path / "c")), "-lm"], cwd=tmp_path / "c", check=True,
+         *(path.name for path in sources(tmp_path / "c")), "-lm"], cwd=tmp_path / "c", check=True, timeout=600,
     )  # fmt: skip
     n, rng = 3000, np.random.default_rng(2)
     time_ns = np.cumsum(rng.choice([1_000_000, 1_000_000, 3_000_000], n))
@@ -72,7 +74,9 @@ def test_the_example_follows_a_stream_as_the_runtime_does(tmp_path):
     voltage[500], current[600] = np.nan, 1e30
     rows = zip((time_ns * 1e-9).tolist(), voltage.tolist(), current.tolist(), strict=True)
     text = "\n".join(f"{t:.9f},{v!r},{i!r}" for t, v, i in rows)
-    out = subprocess.run([tmp_path / "c/main"], input=text, capture_output=True, text=True, check=True).stdout
+    out = subprocess.run(
+        [tmp_path / "c/main"], input=text, capture_output=True, text=True, check=True, timeout=600
+    ).stdout
     table = np.array([[float(cell) for cell in line.split(",")] for line in out.splitlines()])
     sensor = load_sensor(SHIPPED / "mellah2016_observer.onnx", "numpy")
     expected = Estimator(sensor, 1e-3).push(Samples(time_ns, voltage, current))
@@ -92,8 +96,9 @@ def proven(request, tmp_path_factory):
     subprocess.run(
         [compilers()[0], *STRICT_FLAGS, "-O2", f"-I{folder / 'c'}", "-o", folder / "pc", *listed, "-lm"],
         check=True,
+        timeout=600,
     )
-    here = subprocess.run([folder / "pc"], capture_output=True, text=True, check=True).stdout
+    here = subprocess.run([folder / "pc"], capture_output=True, text=True, check=True, timeout=600).stdout
     said = {}
     for board in boards.BOARDS:
         (folder / board.name).mkdir()

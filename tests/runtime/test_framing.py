@@ -243,8 +243,10 @@ int main(void)
 def test_the_c_header_sends_the_same_bytes(tmp_path):
     (tmp_path / "main.c").write_text(PROGRAM)
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-fsanitize=undefined"]
-    subprocess.run(["gcc", *strict, f"-I{HEADER}", "main.c", "-o", "main"], cwd=tmp_path, check=True)
-    ours = subprocess.run([tmp_path / "main"], capture_output=True, check=True).stdout
+    subprocess.run(
+        ["gcc", *strict, f"-I{HEADER}", "main.c", "-o", "main"], cwd=tmp_path, check=True, timeout=600
+    )
+    ours = subprocess.run([tmp_path / "main"], capture_output=True, check=True, timeout=600).stdout
     k = np.arange(118)
     codes = (
         (k * k * 37 - 2000 * (k % 5 == 0)).astype(np.int64).astype(np.uint16).view(np.int16).reshape(-1, 2)

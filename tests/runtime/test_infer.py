@@ -222,7 +222,7 @@ def test_memory_does_not_grow_with_the_file(here):
         )
         assert body.stat().st_size > 4 << 20
         command = [sys.executable, "-c", script, "infer", str(body), "--sensor", "s.onnx", "-o", "out.csv"]
-        peaks.append(int(subprocess.run(command, capture_output=True, check=True).stdout))
+        peaks.append(int(subprocess.run(command, capture_output=True, check=True, timeout=600).stdout))
     assert peaks[1] < 1.1 * peaks[0]
     assert peaks[1] < 150_000
 

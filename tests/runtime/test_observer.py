@@ -106,6 +106,7 @@ def test_a_pause_of_any_length_leaves_an_observer_that_works(trained, pause_s):
         assert abs(off[0, rise]) < 0.2 * first[-1, rise]
 
 
+@pytest.mark.fit
 def test_estimates_and_their_bits(trained, tmp_path):
     path = tmp_path / "s.onnx"
     spec, network = write_sensor(path, spec=spec_with(trained), features=features_with(trained))

@@ -119,8 +119,7 @@ def test_an_unplugged_device_is_taken_up_again_where_it_was(here):
     second = []
 
     def replug():
-        while first.sent < 100:
-            time.sleep(0.02)
+        eventually(lambda: first.sent == 100, "all frames")
         time.sleep(0.3)
         first.unplug()
         os.unlink("port")

@@ -19,7 +19,9 @@ def columns() -> list[str]:
 
 def motorlens(*arguments: object) -> subprocess.CompletedProcess[str]:
     program = [sys.executable, "-c", "from motorlens_runtime.cli import main; raise SystemExit(main())"]
-    return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [*program, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=600
+    )
 
 
 def steady_state_rmse(recordings: list[Recording], unseen: Recording) -> float:

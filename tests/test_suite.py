@@ -1,0 +1,45 @@
+"""The tests themselves: no wait without an end, no program that nobody ends, every test in a tier that is known."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parent
+FILES = sorted(path for path in HERE.rglob("*.py") if "hidden" not in path.parts)
+# Where programs are started that run beside a test; everything else uses `Program`, or `subprocess.run` with a limit.
+STARTERS = {"helpers/processes.py", "runtime/test_publishers.py"}
+
+
+def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func), node
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(HERE)))
+def test_every_program_ends(path: Path) -> None:
+    for name, call in calls(path):
+        where = f"{path.name}:{call.lineno}"
+        given = {keyword.arg for keyword in call.keywords}
+        if name in ("subprocess.run", "subprocess.check_output", "subprocess.check_call"):
+            assert "timeout" in given, f"{where}: {name} without a timeout"
+        if name.endswith("Popen"):
+            assert str(path.relative_to(HERE)) in STARTERS, f"{where}: use Program of helpers/processes.py"
+        if name.endswith((".communicate", ".wait")) and "process" in name.lower():
+            assert call.args or "timeout" in given, f"{where}: {name} without a limit"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(HERE)))
+def test_no_loop_sleeps_for_ever(path: Path) -> None:
+    """`while not done: sleep` never ends when what it waits for has died; `eventually` does."""
+    if path.name == "processes.py":
+        return
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.While) and all(_is_sleep(statement) for statement in node.body):
+            raise AssertionError(f"{path.name}:{node.lineno}: a loop that only sleeps; use eventually")
+
+
+def _is_sleep(statement: ast.stmt) -> bool:
+    return isinstance(statement, ast.Expr) and ast.unparse(statement).startswith("time.sleep(")
