@@ -10,6 +10,10 @@ void reset(void);
 #define UART_STATE REGISTER(0x40004004u) /* bit 0: what is sent waits; bit 1: something has come */
 #define UART_CONTROL REGISTER(0x40004008u)
 #define UART_DIVIDER REGISTER(0x40004010u)
+#define INPUT_DATA REGISTER(0x40005000u)
+#define INPUT_STATE REGISTER(0x40005004u)
+#define INPUT_CONTROL REGISTER(0x40005008u)
+#define INPUT_DIVIDER REGISTER(0x40005010u)
 #define TICK_CONTROL REGISTER(0xE000E010u)
 #define TICK_RELOAD REGISTER(0xE000E014u)
 #define TICK_VALUE REGISTER(0xE000E018u)
@@ -37,7 +41,9 @@ void reset(void)
     __asm volatile("dsb\n isb");
 #endif
     UART_DIVIDER = 16;
-    UART_CONTROL = 3;
+    UART_CONTROL = 1; /* sends */
+    INPUT_DIVIDER = 16;
+    INPUT_CONTROL = 2; /* receives */
     board_exit(main());
 }
 
@@ -48,9 +54,9 @@ void board_put(uint8_t byte)
     UART_DATA = byte;
 }
 
-int board_get(void)
+int board_get_input(void)
 {
-    return UART_STATE & 2u ? (int)(UART_DATA & 0xFFu) : -1;
+    return INPUT_STATE & 2u ? (int)(INPUT_DATA & 0xFFu) : -1;
 }
 
 void board_print(const char *text)

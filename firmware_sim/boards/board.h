@@ -4,9 +4,9 @@
 
 #include <stdint.h>
 
-/* The serial line UART0. */
+/* The serial lines: UART0 for what the board says, UART1 for what it is told. */
 void board_put(uint8_t byte);
-int board_get(void); /* -1 where nothing has come */
+int board_get_input(void); /* -1 where nothing has come */
 void board_print(const char *text);
 void board_print_hex(uint64_t value, int digits);
 void board_print_number(uint32_t value);

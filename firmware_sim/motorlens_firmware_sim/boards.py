@@ -94,11 +94,12 @@ def compile_for(board: Board, sources: list[Path], target: Path, defines: tuple[
     return target
 
 
-def emulator_command(board: Board, program: Path, serial: str = "stdio") -> list[str]:
-    """The command that runs a program; `serial` is where its serial line goes."""
+def emulator_command(board: Board, program: Path, *serial: str) -> list[str]:
+    """The command that runs a program; `serial` is where its serial lines go, by default the first to standard output."""
+    lines = [word for line in serial or ("stdio",) for word in ("-serial", line)]
     return [
         EMULATOR, "-machine", board.machine, "-icount", "shift=0", "-display", "none", "-monitor", "none",
-        "-serial", serial, "-semihosting-config", "enable=on,target=native", "-kernel", str(program),
+        *lines, "-semihosting-config", "enable=on,target=native", "-kernel", str(program),
     ]  # fmt: skip
 
 

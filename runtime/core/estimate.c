@@ -75,10 +75,10 @@ void motorlens_batch_finish(const motorlens_sensor *sensor, motorlens_batch *bat
     for (int row = 0; row < batch->rows; row++) {
         uint32_t word = batch->quality[row];
         if (squares[row] > sensor->envelope.limit)
-            word |= MOTORLENS_OUTSIDE_ENVELOPE;
+            word |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
         for (int k = 0; k < outputs; k++) {
             if (!(isfinite(values[k][row]) && isfinite(deviations[k][row])))
-                word |= MOTORLENS_NOT_FINITE;
+                word |= MOTORLENS_QUALITY_NOT_FINITE;
             *estimate++ = values[k][row];
             *sigma++ = deviations[k][row];
         }

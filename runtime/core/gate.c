@@ -16,7 +16,7 @@ static void judge_stuck(const motorlens_gate *gate, motorlens_gate_state *state,
     if (voltage_V != 0.0 || fabs(current_A) < gate->flowing_A)
         state->dead_since = now;
     if (now - state->first_move >= gate->repeats || now - state->dead_since >= gate->repeats)
-        *quality |= MOTORLENS_STUCK;
+        *quality |= MOTORLENS_QUALITY_STUCK;
 }
 
 uint32_t motorlens_gate_inspect(const motorlens_gate *gate, motorlens_gate_state *state, int64_t period_ns,
@@ -33,37 +33,40 @@ uint32_t motorlens_gate_inspect(const motorlens_gate *gate, motorlens_gate_state
             return MOTORLENS_BACKWARDS;
         *dt_ns = state->begun ? time_ns - state->last_ns : gate->first_dt_ns;
         if ((double)*dt_ns > gate->slowest_ns || (double)*dt_ns < gate->fastest_ns)
-            quality |= MOTORLENS_OUTSIDE_ENVELOPE;
+            quality |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
         if (!(sample->voltage_V >= gate->least_V && sample->voltage_V <= gate->most_V &&
               sample->current_A >= gate->least_A && sample->current_A <= gate->most_A))
-            quality |= MOTORLENS_OUTSIDE_ENVELOPE;
+            quality |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
         /* L di/dt cannot exceed the supply and an equal back-EMF; half as much again and 2 % of the range for noise. */
         if (state->begun && *dt_ns > 0 &&
             fabs(sample->current_A - state->current_A) > gate->slew_A_ns * (double)*dt_ns + gate->noise_A)
-            quality |= MOTORLENS_JUMP;
+            quality |= MOTORLENS_QUALITY_JUMP;
         if (state->begun && *dt_ns > 3 * period_ns / 2) {
             const int64_t doubted_ns = *dt_ns < gate->warm_up_ns ? *dt_ns : gate->warm_up_ns;
-            quality |= MOTORLENS_BRIDGED;
+            quality |= MOTORLENS_QUALITY_BRIDGED;
             if (time_ns + doubted_ns > state->bridged_until_ns)
                 state->bridged_until_ns = time_ns + doubted_ns;
         }
         if (!state->begun)
             state->first_ns = time_ns;
     } else {
-        quality |= finite ? MOTORLENS_BRIDGED | MOTORLENS_OUTSIDE_ENVELOPE : MOTORLENS_BRIDGED | MOTORLENS_NOT_FINITE;
+        quality |= MOTORLENS_QUALITY_BRIDGED;
+        quality |= finite ? MOTORLENS_QUALITY_OUTSIDE_ENVELOPE : MOTORLENS_QUALITY_NOT_FINITE;
         sample->voltage_V = state->voltage_V;
         sample->current_A = state->current_A;
         sample->ambient_C = state->ambient_C;
     }
     if (time_ns < state->bridged_until_ns)
-        quality |= MOTORLENS_BRIDGED;
+        quality |= MOTORLENS_QUALITY_BRIDGED;
     if (!(state->begun || *used)) {
-        quality |= gate->cold_ns && !state->remembered ? MOTORLENS_WARM_UP | MOTORLENS_ASSUMED_COLD : MOTORLENS_WARM_UP;
+        quality |= MOTORLENS_QUALITY_WARM_UP;
+        if (gate->cold_ns && !state->remembered)
+            quality |= MOTORLENS_QUALITY_ASSUMED_COLD;
     } else {
         if (time_ns - state->first_ns < gate->warm_up_ns)
-            quality |= MOTORLENS_WARM_UP;
+            quality |= MOTORLENS_QUALITY_WARM_UP;
         if (!state->remembered && time_ns - state->first_ns < gate->cold_ns)
-            quality |= MOTORLENS_ASSUMED_COLD;
+            quality |= MOTORLENS_QUALITY_ASSUMED_COLD;
     }
     judge_stuck(gate, state, sample->voltage_V, sample->current_A, &quality);
     if (*used) {

@@ -109,7 +109,7 @@ static void take(motorlens_link *link, const motorlens_frame *frame, int64_t now
     clock->last_arrival_ns = now_ns;
     if (rest_ns != INT64_MIN) {
         const double nothing[3] = {0.0, 0.0, 0.0};
-        add_sample(samples, rest_ns, nothing, MOTORLENS_BRIDGED);
+        add_sample(samples, rest_ns, nothing, MOTORLENS_QUALITY_BRIDGED);
     }
     for (int32_t k = 0; k < n; k++, row += width) {
         double values[3] = {0.0, 0.0, 0.0};
@@ -119,12 +119,12 @@ static void take(motorlens_link *link, const motorlens_frame *frame, int64_t now
             if (channel->used) {
                 const double code = code_at(scaling, row, channel->index);
                 if (scaling->rails_known && (code <= channel->least || code >= channel->most))
-                    flags |= MOTORLENS_SATURATED;
+                    flags |= MOTORLENS_QUALITY_SATURATED;
                 values[c] = (code * channel->scale + channel->offset) * channel->factor + channel->shift;
             }
         }
         if (!scaling->rails_known && (frame->flags & MOTORLENS_SAYS_SATURATED))
-            flags |= MOTORLENS_SATURATED;
+            flags |= MOTORLENS_QUALITY_SATURATED;
         add_sample(samples, time_ns_of(clock, clock->count + k), values, flags);
     }
     if (rest_ns != INT64_MIN) /* what surrounds the motor is what it was */
@@ -150,7 +150,7 @@ int64_t motorlens_link_feed(motorlens_link *link, const uint8_t *data, int64_t s
             clock->lost_frames += step > 1 && step < 0x8000 ? step - 1 : 0;
         }
         clock->sequence = frame.sequence;
-        if (frame.kind != MOTORLENS_SAMPLES) {
+        if (frame.kind != MOTORLENS_KIND_SAMPLES) {
             *other = frame;
             return taken;
         }

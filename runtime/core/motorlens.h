@@ -20,10 +20,19 @@
 
 /* Reasons to trust an estimate less; 0 is good. As `quality.Quality`. */
 enum {
-    MOTORLENS_WARM_UP = 1, MOTORLENS_BRIDGED = 2, MOTORLENS_STALE = 4, MOTORLENS_SATURATED = 8,
-    MOTORLENS_OUTSIDE_ENVELOPE = 16, MOTORLENS_NOT_FINITE = 32, MOTORLENS_RESTORED = 64, MOTORLENS_OVERLOAD = 128,
-    MOTORLENS_SIMULATED = 256, MOTORLENS_BACKEND_MISMATCH = 512, MOTORLENS_STUCK = 1024, MOTORLENS_JUMP = 2048,
-    MOTORLENS_ASSUMED_COLD = 4096
+    MOTORLENS_QUALITY_WARM_UP = 1,
+    MOTORLENS_QUALITY_BRIDGED = 2,
+    MOTORLENS_QUALITY_STALE = 4,
+    MOTORLENS_QUALITY_SATURATED = 8,
+    MOTORLENS_QUALITY_OUTSIDE_ENVELOPE = 16,
+    MOTORLENS_QUALITY_NOT_FINITE = 32,
+    MOTORLENS_QUALITY_RESTORED = 64,
+    MOTORLENS_QUALITY_OVERLOAD = 128,
+    MOTORLENS_QUALITY_SIMULATED = 256,
+    MOTORLENS_QUALITY_BACKEND_MISMATCH = 512,
+    MOTORLENS_QUALITY_STUCK = 1024,
+    MOTORLENS_QUALITY_JUMP = 2048,
+    MOTORLENS_QUALITY_ASSUMED_COLD = 4096
 };
 
 /* One instant. `ambient_C` is NaN where it is not measured; `flags` are reasons that the source knows already. */
@@ -168,7 +177,8 @@ uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *sta
                             uint32_t quality, double *estimate, double *sigma);
 
 /* Many samples in one call: n of each array (`ambient_C` and `flags` may be NULL), evaluated at the m indices `rows` in rising
- * order (NULL: all); `features` (m, F) is where the features go, or NULL. Gives 0, or the index from 1 of a sample at which time runs backwards, and leaves the state as it was. */
+ * order (NULL: all); `features` (m, F) is where the features go, or NULL. Gives 0, or the index from 1 of a sample at which time
+ * runs backwards, and leaves the state as it was. */
 int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, int64_t n, const int64_t *time_ns,
                        const double *voltage_V, const double *current_A, const double *ambient_C, const uint32_t *flags,
                        int64_t m, const int64_t *rows, double *estimate, double *sigma, uint32_t *quality,

@@ -90,7 +90,7 @@ int motorlens_program_run(const motorlens_program *program, const double *inputs
 int motorlens_observer_advance(const motorlens_observer *observer, double *state, const motorlens_sample *sample,
                                double dt_s)
 {
-    double inputs[MOTORLENS_OBSERVER + 4], sum = 0.0;
+    double inputs[MOTORLENS_OBSERVER + 4];
     int failed;
     const double ambient_C = isfinite(sample->ambient_C) ? sample->ambient_C : observer->ambient_C;
     inputs[0] = sample->voltage_V;
@@ -100,6 +100,7 @@ int motorlens_observer_advance(const motorlens_observer *observer, double *state
     memcpy(inputs + 4, state, observer->window * sizeof *state);
     failed = motorlens_program_run(&observer->accumulate, inputs, state);
     if (!failed && state[observer->time] >= observer->full_s) {
+        double sum = 0.0;
         inputs[0] = ambient_C;
         memcpy(inputs + 1, state, observer->size * sizeof *state);
         failed = motorlens_program_run(&observer->correct, inputs, state);

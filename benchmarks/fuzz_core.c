@@ -1,0 +1,114 @@
+/* fuzz_core.c - libFuzzer feeds bytes to the C core: to the line (frames, time, scaling), and what comes of them, with numbers of
+ * the fuzzer's own, to gate, filters, observer and network. Built by benchmarks/fuzz_core.py beside an exported sensor, with the
+ * address and undefined-behaviour sanitizers.
+ */
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "link.h"
+#include "sensor.h"
+
+#define ROOM 512
+
+static uint32_t crc32_of(const uint8_t *data, size_t length)
+{
+    uint32_t crc = 0xFFFFFFFFu;
+    while (length--) {
+        crc ^= *data++;
+        for (int bit = 0; bit < 8; bit++)
+            crc = crc & 1u ? crc >> 1 ^ 0xEDB88320u : crc >> 1;
+    }
+    return ~crc;
+}
+
+/* A sound frame around the fuzzer's bytes, so that it gets past the CRC: kind, flags, sequence, clock and payload are its own. */
+static size_t framed(const uint8_t *data, size_t size, uint8_t *wire)
+{
+    uint8_t body[8 + MOTORLENS_MAX_PAYLOAD + 4];
+    size_t length = size < 8 ? 8 : size > 8 + MOTORLENS_MAX_PAYLOAD ? 8 + MOTORLENS_MAX_PAYLOAD : size, out = 1, code_at = 0;
+    uint32_t crc;
+    memset(body, 0, sizeof body);
+    memcpy(body, data, size < length ? size : length);
+    body[1] = (uint8_t)(MOTORLENS_PROTOCOL << 4 | (body[1] & 15u));
+    crc = crc32_of(body, length);
+    for (int k = 0; k < 4; k++)
+        body[length++] = (uint8_t)(crc >> 8 * k);
+    for (size_t k = 0; k < length; k++) {
+        if (body[k] == 0) {
+            wire[code_at] = (uint8_t)(out - code_at);
+            code_at = out++;
+        } else {
+            wire[out++] = body[k];
+        }
+    }
+    wire[code_at] = (uint8_t)(out - code_at);
+    wire[out++] = 0;
+    return out;
+}
+
+static void estimate_all(const motorlens_samples *samples)
+{
+    double estimate[MOTORLENS_OUTPUTS], sigma[MOTORLENS_OUTPUTS];
+    motorlens_state state;
+    motorlens_start(&motor_sensor, &state, 1000000);
+    for (int64_t k = 0; k < samples->count; k++) {
+        motorlens_sample sample = {samples->time_ns[k], samples->voltage_V[k], samples->current_A[k],
+                                   samples->ambient_C[k], samples->flags[k]};
+        const uint32_t word = motorlens_update(&motor_sensor, &state, &sample);
+        if (word == MOTORLENS_BACKWARDS)
+            continue;
+        if (k % 16 == 0)
+            motorlens_evaluate(&motor_sensor, &state, &sample, word, estimate, sigma);
+        for (int f = 0; f < motor_sensor.features.filters; f++)
+            if (!(state.bank.inside[f] - state.bank.inside[f] == 0.0))
+                abort(); /* nothing that is not finite reaches a filter */
+    }
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    int64_t time_ns[ROOM];
+    double voltage_V[ROOM], current_A[ROOM], ambient_C[ROOM];
+    uint32_t flags[ROOM];
+    uint8_t wire[MOTORLENS_MAX_BODY + 1];
+    motorlens_samples samples = {time_ns, voltage_V, current_A, ambient_C, flags, ROOM, 0};
+    motorlens_link link;
+    motorlens_frame other;
+    int64_t taken = 0, now_ns = 0;
+    memset(&link, 0, sizeof link);
+    motorlens_decoder_start(&link.decoder);
+    link.clock.numerator = 1000;
+    link.clock.step_ns = 1000000000;
+    link.clock.sequence = -1;
+    link.scaling.channels = 2;
+    link.scaling.schema = 1;
+    if (size > 0) {
+        link.scaling.floats = data[0] & 1;
+        link.scaling.rails_known = data[0] >> 1 & 1;
+        data++;
+        size--;
+    }
+    for (int c = 0; c < 2; c++) {
+        const motorlens_channel channel = {0.1, 0.0, 1.0, 0.0, -2048.0, 2047.0, c, 1};
+        link.scaling.channel[c] = channel;
+    }
+    /* Frames of its own, each led by its length, that are sound; then the bytes as they are. */
+    while (size > 1 && samples.count + MOTORLENS_LARGEST_FRAME <= ROOM) {
+        const size_t length = data[0] < size - 1 ? data[0] : size - 1, bytes = framed(data + 1, length, wire);
+        for (taken = 0; taken < (int64_t)bytes && samples.count + MOTORLENS_LARGEST_FRAME <= ROOM;)
+            taken += motorlens_link_feed(&link, wire + taken, (int64_t)bytes - taken, now_ns += 1000000, &samples, &other);
+        data += 1 + length;
+        size -= 1 + length;
+        if (length == 0)
+            break;
+    }
+    for (taken = 0; taken < (int64_t)size && samples.count + MOTORLENS_LARGEST_FRAME <= ROOM;)
+        taken += motorlens_link_feed(&link, data + taken, (int64_t)size - taken, now_ns += 1000000, &samples, &other);
+    if (link.decoder.length > MOTORLENS_MAX_BODY || samples.count > ROOM)
+        abort();
+    estimate_all(&samples);
+    return 0;
+}
