@@ -141,4 +141,4 @@ def test_the_simulated_line_hands_over_what_is_due_and_no_more() -> None:
 )
 def test_a_bench_out_of_range_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(DataError):
-        prepare(Setup(motor=str(ROOT / Setup.motor), **wrong))  # type: ignore[arg-type]
+        prepare(Setup(**wrong))  # type: ignore[arg-type]

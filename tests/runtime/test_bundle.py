@@ -19,6 +19,7 @@ from helpers.sensor_files import write_sensor
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.sensor import bundle
+from motorlens_runtime.sensor.core_library import compilers
 
 OFFLINE = ["unshare", "--net", "--map-root-user"]
 
@@ -75,6 +76,8 @@ def test_installs_and_runs_without_a_network(bundled, tmp_path):
     )
     assert installed.returncode == 0, installed.stderr
     assert "bytes to estimate" in installed.stdout
+    if compilers():  # the core came along: no compiler is needed there
+        assert f"/site-packages/motorlens_runtime/core/motorlens-{platform.machine()}.so" in installed.stdout
     packages = {
         path.name.split("-")[0] for path in (prefix / "venv").glob("lib/python*/site-packages/*.dist-info")
     }

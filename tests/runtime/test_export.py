@@ -1,11 +1,14 @@
 """`motorlens export`: the sensor as C99 computes what the file says, on this machine and on four microcontroller cores."""
 
+import ctypes
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.processes import ran
 from helpers.sensor_files import write_sensor
 
 from motorlens_firmware_sim import boards
@@ -13,7 +16,7 @@ from motorlens_runtime.cli import main
 from motorlens_runtime.estimate.estimator import Estimator
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.sensor.core_library import STRICT_FLAGS, compilers
-from motorlens_runtime.sensor.sensor import load_sensor, scales
+from motorlens_runtime.sensor.sensor import load_sensor, scales, tiled, untiled
 
 SHIPPED = Path(__file__).resolve().parents[2] / "models/sensors"
 needs_compiler = pytest.mark.skipif(
@@ -144,3 +147,31 @@ def test_what_cannot_be_exported_is_said_in_one_line(tmp_path, capsys):
     assert "--name 9x" in capsys.readouterr().err
     assert main(["export", str(tmp_path / "absent.onnx"), "--c", str(tmp_path / "c")]) == 1
     assert not (tmp_path / "c").exists()
+
+
+@needs_compiler
+@pytest.mark.fit
+@pytest.mark.parametrize("name", ["mellah2016", "mellah2016_observer"])
+def test_another_generator_of_c_agrees_on_the_core_graph(name, tmp_path):
+    """emx-onnx-cgen reads the ONNX graph node by node and shares nothing with the folding or the core."""
+    pytest.importorskip("emx_onnx_cgen", reason="emx-onnx-cgen is not installed")
+    source = tmp_path / "other.c"
+    ran([sys.executable, "-m", "emx_onnx_cgen", "compile", SHIPPED / f"{name}.onnx", source])
+    library = tmp_path / "other.so"
+    subprocess.run(
+        [compilers()[0], "-std=c11", "-O1", "-w", "-shared", "-fPIC", "-o", library, source, "-lm"],
+        check=True,
+    )
+    sensor = load_sensor(SHIPPED / f"{name}.onnx", "core")
+    rows = np.random.default_rng(0).normal(size=(160, len(sensor.specification.features)))
+    envelope = sensor.specification.envelope
+    # Where the sensor was trained, row after row in memory.
+    features = np.ascontiguousarray(envelope.mean + np.linalg.solve(envelope.cholesky.T, 2 * rows.T).T)
+    estimate, sigma = np.empty((2, 160, 3))
+    pointers = [ctypes.c_void_p(array.ctypes.data) for array in (features, estimate, sigma)]
+    ctypes.CDLL(str(library)).model(160, *pointers)
+    found = [untiled(values).T for values in sensor.backend.evaluate(tiled(features.T, 0))]
+    scale = scales(sensor.specification)
+    assert np.max(np.abs(found[0] - estimate) / scale) < 1e-6
+    assert np.max(np.abs(found[1] - sigma) / np.maximum(scale, sigma)) < 1e-6
+    assert np.ptp(estimate[:, 0]) > scale[0]

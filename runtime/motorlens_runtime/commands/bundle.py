@@ -77,7 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json != "-":
         assert isinstance(found["bytes"], int)
         print(
-            f"{arguments.output}: {found['bytes'] / 1e6:.0f} MB for {target.machine}, Python {target.python}; "
+            f"{arguments.output}: {found['bytes'] / 1e6:.0f} MB for {target.machine}, Python {target.python}, "
+            f"{'with' if found['core'] else 'without'} the C core; "
             "copy it over and run: sh install.sh"
         )
     write_json(found, arguments.json)

@@ -9,6 +9,7 @@ import hashlib
 import json
 import platform
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -21,6 +22,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from motorlens_runtime.errors import DataError, DeviceError
+from motorlens_runtime.sensor.core_library import compile_core, compilers
 from motorlens_runtime.sensor.sensor import load_sensor
 
 MACHINES = ("x86_64", "aarch64")
@@ -93,6 +95,7 @@ def write_bundle(
         "@SENSOR@": sensor_path.name, "@NAME@": sensor.name, "@MACHINE@": target.machine, "@PYTHON@": target.python,
         "@REQUIREMENTS@": " ".join(f'"{each}"' for each in ("motorlens", *requirements)),
     }  # fmt: skip
+    has_core = _core_for(target, folder)
     for name in _FILES:
         text = resources.files(__package__).joinpath("bundle_files", name).read_text(encoding="utf-8")
         for word, value in words.items():
@@ -105,9 +108,23 @@ def write_bundle(
     files = [line.split("  ", 1)[1] for line in sums.splitlines()]
     return {
         "schema": "motorlens.bundle/1", "folder": str(folder), "sensor": sensor.name, "sensor_sha256": sensor.digest,
-        "machine": target.machine, "python": target.python, "files": files,
+        "machine": target.machine, "python": target.python, "core": has_core, "files": files,
         "bytes": sum((folder / name).stat().st_size for name in files),
     }  # fmt: skip
+
+
+def _core_for(target: Target, folder: Path) -> bool:
+    """Compile the C core for that machine, if there is a compiler for it; whether it is in the bundle."""
+    own = target.machine == platform.machine()
+    names = compilers() if own else [shutil.which(f"{target.machine}-linux-gnu-gcc")]
+    compiler = next(filter(None, names), None)
+    if compiler is None:
+        return False
+    try:
+        compile_core(compiler, folder / f"motorlens-{target.machine}.so")
+    except (OSError, subprocess.SubprocessError):
+        return False
+    return True
 
 
 def environment_file(source: str, options: Sequence[str]) -> str:

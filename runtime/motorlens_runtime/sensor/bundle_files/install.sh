@@ -36,6 +36,11 @@ mkdir -p "$prefix"
 pip=$(echo "$here"/wheels/pip-*.whl)
 "$prefix/venv/bin/python" "$pip/pip" --isolated install --quiet --disable-pip-version-check --no-index \
     --find-links "$here/wheels" @REQUIREMENTS@
+# The C core, if it came along; without it Python computes the same, but slower.
+if [ -e "$here/motorlens-@MACHINE@.so" ]; then
+    core=$("$prefix/venv/bin/python" -c 'from motorlens_runtime.sensor import core_library; print(core_library.source_folder())')
+    cp "$here/motorlens-@MACHINE@.so" "$core/"
+fi
 cp "$here/@SENSOR@" "$prefix/@SENSOR@"
 cp "$here/uninstall.sh" "$prefix/uninstall.sh"
 "$prefix/venv/bin/motorlens" doctor --sensor "$prefix/@SENSOR@" --seconds 0.2
