@@ -263,10 +263,11 @@ def run(
 
 
 def _scales(motor: Motor, system: System, inputs: Array, x: Array) -> Array:
-    """The size of each state that counts as small, from what the inputs can bring about."""
-    volts = float(np.max(np.abs(inputs[:, 0])))
+    """The size of each state that counts as small, from what the inputs and the states x can bring about."""
+    # A rotor that turns is a source, and so is a current that is imposed.
+    volts = max(float(np.max(np.abs(inputs[:, 0]))), motor.ke * abs(x[1]), motor.R_a0 * abs(x[0]))
     torque = float(np.max(np.abs(inputs[:, 1])))
-    # A tenth of the locked-rotor current and of the no-load speed; a hundredth of a kelvin, of a radian.
+    # A tenth of the locked-rotor current and of the no-load speed, a kelvin, a tenth of a radian and of all else.
     sizes = {
         "i": max(0.1 * volts / motor.R_a0, 0.1 * torque / motor.ke, 0.1 * abs(x[0])),
         "w": max(0.1 * volts / motor.ke, 0.1 * motor.R_a0 * torque / motor.ke**2, 0.1 * abs(x[1])),
