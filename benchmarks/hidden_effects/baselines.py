@@ -386,10 +386,10 @@ def whiteness(paths: list[Path], motor: Path, lags: int = 25) -> dict[str, Any]:
     """
     from scipy.stats import chi2
 
+    from motorlens_physics.estimate.run import prepare_all
     from motorlens_physics.motor_file import read_motor_file
     from motorlens_physics.recording import read_recording
     from motorlens_workbench.diagnosis import base_fit
-    from motorlens_workbench.run import prepare_all
 
     file = read_motor_file(str(motor))
     runs = prepare_all([read_recording(str(path)) for path in sorted(paths)], file)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from sensor_rows.common import MELLAH, ROOT, Network, Observing, Size, better, filters, goal, show
 
-from motorlens_physics.calibration import calibrate
+from motorlens_physics.estimate.calibrate import calibrate
 from motorlens_physics.motor_file import MotorFile, with_overrides
 from motorlens_physics.recording import read_recording
 from motorlens_train.baselines import ExtendedKalman, Method, SteadyStateVoltage

@@ -8,11 +8,12 @@ import pytest
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_runtime.cli import main
 
+pytestmark = pytest.mark.fit
+
 MOTOR = Path(__file__).resolve().parents[2] / "models" / "motors" / "mellah2016.toml"
 SHEET = ["voltage_V=240", "current_A=7.27", "speed_rpm=2111", "resistance_ohm=3.5", "no_load_current_A=0.4"]
 
 
-@pytest.mark.fit
 def test_from_a_datasheet_to_a_calibrated_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     start, bench, new, report = (
         str(tmp_path / name) for name in ("start.toml", "bench.csv", "new.toml", "report.json")

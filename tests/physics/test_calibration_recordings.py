@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from helpers.recordings import FOLDER, REGBOT_LEFT, needs_recordings, regbot
 
-from motorlens_physics.calibration import Calibration, calibrate
 from motorlens_physics.effects.brush_voltage_drop import BrushVoltageDrop
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
+from motorlens_physics.estimate.calibrate import Calibration, calibrate
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated
@@ -97,12 +97,12 @@ def test_voltage_and_speed_alone_tell_ke_and_not_the_resistance() -> None:
     file = MotorFile("fra233", motor, Rated(voltage_V=12.0, current_A=1.0, speed_rad_s=240.0, torque_Nm=0.04))
     runs = [lab_motor("Chirp"), lab_motor("Stair")]
     given = replace(file, motor=replace(motor, R_a0=3.40))
-    found = calibrate(given, runs, ["ke", "J", "coulomb_friction.tau_c"], held=True, start_sd_K=0.1)
+    found = calibrate(given, runs, ["ke", "J", "coulomb_friction.tau_c"], held=True)
     assert found.value["ke"] == pytest.approx(0.048, rel=0.06)
     assert found.value["J"] == pytest.approx(9.9e-6, rel=0.2)
 
     keys = ["R_a0", "L", "ke", "J", "coulomb_friction.tau_c"]
-    found = calibrate(file, runs, keys, held=True, start_sd_K=0.1)
+    found = calibrate(file, runs, keys, held=True)
     assert found.value["ke"] == pytest.approx(0.048, rel=0.06)
     # Of resistance and inertia the ratio is known, and each no better than its prior; the report says so.
     assert any("R_a0 and J" in sentence for sentence in found.confounded)

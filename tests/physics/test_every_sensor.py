@@ -12,8 +12,8 @@ import pytest
 import sympy
 from helpers.effect_contract import PLATES
 
-from motorlens_physics.calibration import calibrate
 from motorlens_physics.describe import CITATION
+from motorlens_physics.estimate.calibrate import calibrate
 from motorlens_physics.motor_file import read_motor_file, with_overrides
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import CHANNELS, UNIT_OF_CHANNEL, sensor_catalogue, sensor_models

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from helpers.effect_contract import CONTRACT
 
-from motorlens_physics.calibration import calibrate
 from motorlens_physics.effect import catalogue, load_effects
+from motorlens_physics.estimate.calibrate import calibrate
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
 from motorlens_physics.scenario import measure, perform, scenarios

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from motorlens_physics.calibration import calibrate
 from motorlens_physics.effect import Effect, catalogue
+from motorlens_physics.estimate.calibrate import calibrate
 from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import measure, perform, scenarios, time_constants

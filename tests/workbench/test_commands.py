@@ -1,16 +1,15 @@
-"""A voltage that is a command acts when the drive has computed it: found where the motor file says that it is one."""
+"""A command acts when the drive has computed it: found, whatever the motor file says of the voltage."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.run import prepare
 
 # Its motor file says that the voltage is a command.
 WHEEL = Path(__file__).resolve().parents[2] / "examples/hidden_effect/regbot.toml"
@@ -38,15 +37,6 @@ def logged(late: int) -> Recording:
 def test_a_command_that_acts_late_is_found_and_the_inductance_does_not_make_up_for_it(late):
     file = read_motor_file(WHEEL)
     found, (run,) = base_fit(file, [prepare(logged(late), file)])
-    assert run.late == bool(late)
+    assert dict(run.late) == ({"current": 1, "speed": 1} if late else {})
+    assert found.model.held == ((True, False, False),)
     assert found.model.file.motor.L == pytest.approx(0.0066, rel=0.03)
-    _, (same,) = base_fit(file, [run])
-    assert np.array_equal(same.inputs.voltage_V, run.inputs.voltage_V)
-
-
-def test_a_measured_voltage_is_taken_as_it_is():
-    """What it is late by is then a lag of the other sensors, and for the screen to find."""
-    file = read_motor_file(WHEEL)
-    file = replace(file, sensors=(), knowledge={})
-    _, (run,) = base_fit(file, [prepare(logged(1), file)])
-    assert not run.late

@@ -21,7 +21,7 @@ from motorlens_physics.recording import Recording, read_recording, write_recordi
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.balances import lowpass
-from motorlens_workbench.comparison import compare, noise_floor
+from motorlens_workbench.comparison import compare
 from motorlens_workbench.report.comparison import to_html, to_json
 from motorlens_workbench.report.pictures import packed, time_plots
 
@@ -100,14 +100,6 @@ def test_lowpass_is_that_of_scipy() -> None:
         max_step=0.02,
     )  # fmt: skip
     np.testing.assert_allclose(lowpass(y, time, 0.7), run.y[0], atol=1e-6)
-
-
-def test_noise_floor_is_the_noise_whatever_lies_below() -> None:
-    rng = np.random.default_rng(2)
-    time = np.arange(0, 20, 0.002)
-    signal = 5 * np.sin(2 * time) + 0.1 * time**2 + 0.07 * rng.standard_normal(len(time))
-    assert noise_floor(signal) == pytest.approx(0.07, rel=0.04)
-    assert noise_floor(np.zeros(100)) == 0.0
 
 
 @pytest.mark.fit

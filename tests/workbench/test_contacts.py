@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from helpers.changing import MOTOR, drive, textbook
 
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.contacts import Spells, loose_contact, robust
 from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.fitting import start_model
-from motorlens_workbench.model import predict
-from motorlens_workbench.run import prepare
 
 DT, N = 0.002, 8000
 

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.prior import base_prior
+from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.driven import driven, freed
-from motorlens_workbench.fitting import base_prior, start_model
-from motorlens_workbench.model import predict
-from motorlens_workbench.run import prepare
 
 FILE = read_motor_file(Path(__file__).resolve().parents[2] / "examples" / "real_recordings" / "mega.toml")
 

@@ -12,8 +12,6 @@ from motorlens_workbench.evidence import (
     similarity,
     statistics,
 )
-from motorlens_workbench.fitting import Prior
-from motorlens_workbench.look import swamped
 from motorlens_workbench.selection import usual_scatter
 
 
@@ -88,35 +86,6 @@ def test_neighbours_on_a_grid_scatter_alike():
     ]
     candidate = SimpleNamespace(columns=lambda: [["it#0.0"], ["it#1.0"], ["it#2.0"]])
     assert usual_scatter(None, candidate, scores) == 4.0
-
-
-@pytest.mark.parametrize(("moved", "found"), [(1.0, None), (-2.0, ("R_a0", 0.2))])
-def test_a_resistance_that_noise_of_the_inputs_moves_is_pointed_out(moved, found):
-    """Evidence of R_a0 and L with the coefficients 0 and 0 as recorded, `moved` and 5 once cleared; only R_a0 counts."""
-
-    def of(coefficients):
-        inner = np.array([[100.0, 30.0], [30.0, 50.0]])
-        total = np.block(
-            [[inner, inner @ coefficients[:, None]], [(inner @ coefficients)[None], np.full((1, 1), 1e4)]]
-        )
-        return Evidence.of(["R_a0", "L"], total[None], np.array([100.0]))
-
-    # R_a0 is known to a tenth, in which its coefficient is counted.
-    prior = Prior({"R_a0": 3.0, "L": 0.1}, {"R_a0": 0.3, "L": 0.01}, {})
-    fitted = SimpleNamespace(prior=prior)
-    now = SimpleNamespace(found=fitted, evidence=of(np.array([moved, 5.0])), recorded=of(np.zeros(2)))
-    assert swamped(now) == (found and (found[0], pytest.approx(found[1])))
-
-
-def test_nothing_is_said_where_errors_of_the_inputs_put_in_more_than_there_is(problem):
-    evidence = evidence_of(*problem, 64)
-    little = np.zeros((2, 64, 5))
-    little[:, :, 0] = 0.1 * evidence.blocks[:, 0, 0]
-    clean, plain = score(evidence.less(little), ["c0"]), score(evidence, ["c0"])
-    assert clean is not None and plain is not None
-    assert plain.coefficient[0] - clean.coefficient[0] == pytest.approx(0.1)
-    assert score(evidence.less(50 * little), ["c0"]) is None
-    assert score(evidence.less(50 * little), ["c1"]) is not None
 
 
 def test_projection_in_two_steps_is_projection_in_one(problem):

@@ -7,13 +7,13 @@ import pytest
 from scipy.linalg import expm
 from scipy.signal import lsim
 
+from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.lasting import DAMPING, Lasting, resonances
 from motorlens_workbench.leftover import leftover
 from motorlens_workbench.look import look
-from motorlens_workbench.run import prepare_all
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 PERIOD_S = 0.002

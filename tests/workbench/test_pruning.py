@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.fit import fit, start_model
+from motorlens_physics.estimate.model import without_part
+from motorlens_physics.estimate.prior import base_prior
+from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.candidates import shaped
 from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.fitting import base_prior, fit, start_model
 from motorlens_workbench.look import look
-from motorlens_workbench.model import without_part
 from motorlens_workbench.pruning import dispensable, seen_from, simpler
-from motorlens_workbench.run import prepare_all
 from motorlens_workbench.selection import refit
 from motorlens_workbench.steps import Step
 

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.fit import fit, start_model
+from motorlens_physics.estimate.prior import Prior, base_prior
+from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensor_model import sensor_catalogue
@@ -15,8 +18,6 @@ from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench import selection, verdict
 from motorlens_workbench.candidates import Candidate
 from motorlens_workbench.evidence import Score
-from motorlens_workbench.fitting import Prior, base_prior, fit, start_model
-from motorlens_workbench.run import prepare
 from motorlens_workbench.steps import AMONG, among, imperfections, likely
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.forcing import forcing
+from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench import selection
-from motorlens_workbench.candidates import forcing, shaped
+from motorlens_workbench.candidates import shaped
 from motorlens_workbench.diagnosis import base_fit
 from motorlens_workbench.look import look
-from motorlens_workbench.run import prepare_all
 from motorlens_workbench.turning import WhileTurning
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"

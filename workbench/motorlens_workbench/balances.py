@@ -10,10 +10,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.model import Model, inputs_of
+from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.scenario import TimeConstants, time_constants
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.model import Model, inputs_of
-from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
 

@@ -8,25 +8,21 @@ a small grid. Sensor faults and decoys stand in the same list.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect, catalogue
-from motorlens_physics.motor import Motor
+from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import SensorModel, sensor_catalogue
-from motorlens_physics.simulation import Inputs, Trajectory
-from motorlens_workbench.shaft import between_samples
+from motorlens_physics.simulation import Trajectory
 
 Array = NDArray[np.float64]
 
 EQUATIONS = {"voltage": "electrical", "torque": "mechanical", "heat": "thermal"}
-# What warms with the winding starts this share as warm as it, unless a fit says otherwise.
-SETTLED = 0.8
 
 
 @dataclass(frozen=True)
@@ -157,119 +153,6 @@ def equation_of(effect: type[Effect]) -> str:
     if "voltage" in defines and "torque" in defines:
         return "coupling"
     return EQUATIONS["voltage" if defines[0] == "inductance" else defines[0]]
-
-
-# Factors by which samples of an effect of the shaft angle are raised: in full up to the first, no more from the second on,
-# where lines between the samples cannot stand for it (near half the sampling rate). In between it fades: samples that
-# alternate in sign and come and go at once would add up to a torque that is not there.
-RAISED, TOO_FAR = 1.5, 3.0
-
-
-@dataclass(frozen=True)
-class Forcing:
-    """What is added to the three balances, (N,) or (N, k) each: V, N m, W."""
-
-    voltage: Array
-    torque: Array
-    heat: Array
-
-
-def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
-    """What an effect at its present size would add along a trajectory, less what it adds at null."""
-    if "phi" in effect.states:
-        return _of_angle(effect, trajectory)
-    motor = trajectory.motor
-    switch = effect.switch()
-    null = replace(effect, **{switch.name: switch.null})
-    u = inputs_at(trajectory)
-    full_x, null_x = (_states(one, trajectory, u) for one in (effect, null))
-    rows = len(u.t)
-    parts = {
-        name: _array(getattr(effect, name)(motor, full_x, u), rows)
-        - _array(getattr(null, name)(motor, null_x, u), rows)
-        for name in ("voltage", "torque", "heat", "inductance")
-    }
-    if parts["inductance"].any():
-        slope = _array(motor.balances(null_x, u)[0], rows) / np.maximum(
-            _array(motor.inductance(null_x, u), rows), 1e-12
-        )
-        parts["voltage"] = parts["voltage"] - parts["inductance"] * slope
-    return Forcing(parts["voltage"], parts["torque"], parts["heat"])
-
-
-def _of_angle(effect: Effect, trajectory: Trajectory) -> Forcing:
-    u = inputs_at(trajectory)
-    return of_angle(effect, trajectory.motor, _states(effect, trajectory, u), u, held=False)
-
-
-def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> Forcing:
-    """What an effect of the shaft angle adds to the balances, as samples that do in between what its true course does.
-
-    Args:
-        effect: with the angle as its state.
-        motor: the motor it belongs to.
-        x: (N,) states along the way, "phi" among them.
-        u: the inputs as effects read them.
-        held: whether a sample holds until the next; otherwise they are joined by straight lines.
-    """
-    rounds = getattr(effect, "N", 1.0)
-    advance, period_s = rounds * np.gradient(x.phi), float(np.median(np.diff(u.t)))
-    lag_s = {"voltage": motor.L / motor.R_a0, "torque": motor.J / (motor.b + motor.ke**2 / motor.R_a0)}
-    parts = {}
-    for name, lag in lag_s.items():
-        factor = between_samples(advance, lag / period_s, held=held)
-        at = SimpleNamespace(**{**vars(x), "phi": x.phi + np.angle(factor) / rounds})
-        size = np.abs(factor)
-        kept = np.clip((TOO_FAR - size) / (TOO_FAR - RAISED), 0.0, 1.0)
-        parts[name] = kept * size * getattr(effect, name)(motor, at, u)
-    return Forcing(**parts, heat=_array(effect.heat(motor, x, u), len(advance)))
-
-
-def inputs_at(trajectory: Trajectory) -> Any:
-    """The inputs along a trajectory as effects read them."""
-    return as_read(trajectory.inputs)
-
-
-def as_read(i: Inputs) -> Any:
-    """Inputs as effects read them."""
-    return SimpleNamespace(v=i.voltage_V, load=i.load_torque_Nm, ambient=i.ambient_C, t=i.time_s)
-
-
-def _states(effect: Effect, trajectory: Trajectory, u: Any) -> Any:
-    x = SimpleNamespace(**trajectory.states)
-    for name in effect.states:
-        if name in trajectory.states:
-            continue
-        # The state's equation is affine in itself: ds/dt = a s + b.
-        rows = len(u.t)
-        setattr(x, name, np.zeros(rows))
-        b = _array(effect.rates(trajectory.motor, x, u)[name], rows)
-        setattr(x, name, np.ones(rows))
-        a = _array(effect.rates(trajectory.motor, x, u)[name], rows) - b
-        warm = SETTLED * float(trajectory.states["theta"][0])
-        setattr(x, name, _integrate(u.t, a, b, warm if is_rise(name) else effect.states[name].initial))
-    return x
-
-
-def is_rise(state: str) -> bool:
-    """Whether a state is the rise of another part that warms with the winding."""
-    return state.startswith("theta_")
-
-
-@numba.njit(cache=True, nogil=True)
-def _integrate(time, a, b, first):  # type: ignore[no-untyped-def]
-    s = np.empty(len(time))
-    s[0] = first
-    for k in range(len(time) - 1):
-        dt = time[k + 1] - time[k]
-        rate, drive = 0.5 * (a[k] + a[k + 1]), 0.5 * (b[k] + b[k + 1])
-        z = rate * dt
-        s[k + 1] = s[k] * np.exp(z) + drive * (np.expm1(z) / rate if abs(z) > 1e-12 else dt)
-    return s
-
-
-def _array(value: Any, rows: int) -> Array:
-    return np.broadcast_to(np.asarray(value, dtype=np.float64), (rows,))
 
 
 def decoys(trajectory: Trajectory) -> Mapping[str, Forcing]:

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.run import Run
 from motorlens_workbench.bend import Bend
 from motorlens_workbench.evidence import Evidence, Score, score
-from motorlens_workbench.fitting import Fit
-from motorlens_workbench.run import Run
 from motorlens_workbench.screen import layout
 from motorlens_workbench.variation import Variation
 

@@ -1,26 +1,25 @@
 """How far a motor file is from recordings, and where: by channel, equation, operating region, time scale and shaft angle.
 
-Nothing in the motor is fitted: the model runs freely from the first samples of each recording, driven by the measured
-voltage, load and ambient. Which equation is to blame is a question of its own: how much of the error of the free run a
+Nothing in the motor is fitted: the model runs freely, driven by the measured voltage, load and ambient, from the start that
+fits all samples (`free_run`). Which equation is to blame is a question of its own: how much of the error of the free run a
 free force in that equation, and in no other, would take away.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.free_run import FreeRun, free_runs
+from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.run import STATE_OF, UNIT_OF, prepare_all
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import TimeConstants, time_constants
-from motorlens_physics.simulation import Trajectory
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_workbench.balances import EQUATIONS, missing_of
 from motorlens_workbench.curves import curves
-from motorlens_workbench.fitting import start_model
-from motorlens_workbench.model import Model, predict
-from motorlens_workbench.run import STATE_OF, UNIT_OF, Run, prepare_all
 from motorlens_workbench.screen import Line
 
 Array = NDArray[np.float64]
@@ -33,19 +32,15 @@ STANDSTILL = 0.02
 
 
 @dataclass(frozen=True)
-class Overlay:
-    """One recording and the model's free run on it: `predicted` (N, C) and `noise` (C,) in the order of `run.channels`."""
+class Overlay(FreeRun):
+    """One recording and the model's free run on it, and what each equation lacks."""
 
-    run: Run
-    trajectory: Trajectory
-    predicted: Array
-    noise: Array
-    missing: Mapping[str, Array]  # equation -> (N,) what it lacks, in the unit of `EQUATIONS`
+    missing: Mapping[str, Array]  # equation -> (N,) in the unit of `EQUATIONS`
 
     @property
-    def error(self) -> Array:
-        """(N, C) measured less predicted; 0 where nothing was measured."""
-        return np.where(self.run.valid[:, None], self.run.measured - self.predicted, 0.0)
+    def noise(self) -> Array:
+        """(C,) the floor, in the order of `run.channels`."""
+        return self.floor
 
 
 @dataclass(frozen=True)
@@ -105,45 +100,29 @@ def compare(file: MotorFile, recordings: Sequence[Recording]) -> Comparison:
         ModelError: the model cannot be simulated on one of them; the message says which.
     """
     runs = prepare_all(recordings, file)
-    model = start_model(file, runs)
-    held, overlays = [], []
-    for r, run in enumerate(runs):
-        # A recording does not say whether its voltage was held between samples; the better agreement does.
-        ways = [_overlay(replace(model, held=tuple(way for _ in runs)), run, r) for way in (False, True)]
-        held.append(bool(np.mean(_in_sigma(ways[1])) < np.mean(_in_sigma(ways[0]))))
-        overlays.append(ways[held[-1]])
+    try:
+        model, beside = free_runs(file, runs)
+    except ModelError as error:
+        names = ", ".join(run.name for run in runs)
+        raise ModelError(f"{names}: the model cannot follow this recording: {error}") from None
+    overlays = [
+        Overlay(
+            one.run, one.trajectory, one.predicted, one.floor,
+            missing_of(model, one.run, r, one.trajectory, one.predicted),
+        )
+        for r, one in enumerate(beside)
+    ]  # fmt: skip
     measured = [channel for channel in STATE_OF if any(channel in run.channels for run in runs)]
     return Comparison(
         file,
         tuple(overlays),
         {channel: _channel(channel, overlays) for channel in measured},
-        _equations(replace(model, held=tuple(held)), overlays),
+        _equations(model, overlays),
         _map(overlays),
         _regions(overlays),
         {channel: _bands(channel, overlays, time_constants(file.motor)) for channel in measured},
         _orders(overlays),
     )
-
-
-def noise_floor(error: Array) -> float:
-    """Standard deviation of white noise in a signal whose other content is slow, from its second differences, robustly."""
-    if len(error) < 5:
-        return 0.0
-    bent = np.diff(error, 2)
-    spread = float(np.median(np.abs(bent))) / 0.6745 / np.sqrt(6)
-    # A signal that mostly rests (quantised coarsely) has a median of 0: then its rare steps count.
-    return spread or float(np.sqrt(np.mean(bent**2) / 6))
-
-
-def _overlay(model: Model, run: Run, r: int) -> Overlay:
-    try:
-        trajectory, predicted = predict(model, run, r)
-    except ModelError as error:
-        raise ModelError(f"{run.name}: the model cannot follow this recording: {error}") from None
-    errors = run.measured - predicted
-    fine = run.floor * np.sqrt(run.every)
-    noise = np.array([max(noise_floor(errors[run.valid, k]), fine[k]) for k in range(len(run.channels))])
-    return Overlay(run, trajectory, predicted, noise, missing_of(model, run, r, trajectory, predicted))
 
 
 def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:

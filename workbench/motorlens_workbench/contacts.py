@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.scenario import time_constants
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.balances import filter_times, lowpass, missing_of
 from motorlens_workbench.bend import Bend
-from motorlens_workbench.model import Model
-from motorlens_workbench.run import Run
 from motorlens_workbench.variation import Variation
 
 Array = NDArray[np.float64]

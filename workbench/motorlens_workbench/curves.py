@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import EQUATIONS, Forcing
+from motorlens_workbench.candidates import EQUATIONS
 
 Array = NDArray[np.float64]
 

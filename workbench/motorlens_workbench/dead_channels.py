@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.converter import quantisation_step
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.free_run import stirred_by_inputs
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.motor_file import MotorFile
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.converter import quantisation_step
-from motorlens_workbench.fitting import Fit, base_prior, fit, start_model
-from motorlens_workbench.model import predict
-from motorlens_workbench.run import Run
 
 Array = NDArray[np.float64]
 
@@ -90,7 +92,7 @@ def dead_channels(file: MotorFile, base: Fit, runs: Sequence[Run]) -> tuple[Dead
             shown = run.average(run.measured)[run.fresh(), c]
             if 1 - np.var(base.residuals[r][run.fresh(), c]) / max(float(np.var(shown)), 1e-300) > ALIVE:
                 continue
-            dead = _judge(file, base.model.held[r], run, r, channel)
+            dead = _judge(file, run, r, channel)
             if dead is not None:
                 found.append(dead)
     return tuple(found)
@@ -114,17 +116,22 @@ def left_out(run: Run, channel: str) -> Run:
         measured=run.measured[:, keep],
         floor=run.floor[keep],
         converters=tuple(run.converters[c] for c in keep),
+        there=run.there[:, keep],
+        quantum=run.quantum[keep],
+        valid=np.all(run.there[:, keep], axis=1),
+        noise=None,
     )
 
 
-def _judge(file: MotorFile, held: bool, run: Run, r: int, channel: str) -> DeadChannel | None:
+def _judge(file: MotorFile, run: Run, r: int, channel: str) -> DeadChannel | None:
     others = left_out(run, channel)
-    begun = replace(start_model(file, [others]), held=(held,))
     try:
-        alone = fit(begun, [others], base_prior(file, [others]))
-        quiet = run.quieter()
-        said = predict(alone.model, quiet, 0)[1]
-        again = predict(alone.model, quiet.stirred(0, 1.0), 0)[1]
+        found = estimate(file, [others])
+        alone, moved = found.fit, found.runs[0]
+        whole = replace(run, inputs=moved.inputs, corrections=moved.corrections)
+        said = predict(alone.model, whole, 0)[1]
+        assert moved.noise is not None
+        stirred = stirred_by_inputs(alone.model, whole, 0, moved.noise)
     except ModelError:
         return None
     fresh = run.fresh()
@@ -134,8 +141,8 @@ def _judge(file: MotorFile, held: bool, run: Run, r: int, channel: str) -> DeadC
             return None
     c = run.channels.index(channel)
     x, y = run.average(said)[fresh, c], run.average(run.measured)[fresh, c]
-    # Near standstill a prediction is little more than what noise and coarse steps of the inputs stir up.
-    if np.var(run.average(again - said)[fresh, c]) > (1 - TRUSTED) * np.var(x):
+    # Near standstill a prediction is little more than what noise of the inputs stirs up.
+    if stirred[c] > (1 - TRUSTED) * np.var(x):
         return None
     x, y = x - x.mean(), y - y.mean()
     rated = {"current": file.rated.current_A, "speed": file.rated.speed_rad_s}[channel]

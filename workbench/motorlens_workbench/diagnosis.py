@@ -11,28 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.shaft import followed
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
-from motorlens_physics.threads import on_all_cores
-from motorlens_runtime.errors import ModelError
 from motorlens_workbench.bend import Bend
 from motorlens_workbench.contacts import Spells
 from motorlens_workbench.dead_channels import DeadChannel, dead_channels, without
-from motorlens_workbench.fitting import MEASURED, Fit, base_prior, fit, start_model
 from motorlens_workbench.leftover import at_once, leftover
-from motorlens_workbench.look import Look, look, swamped, unsettled
-from motorlens_workbench.model import predict
+from motorlens_workbench.look import Look, look, unsettled
 from motorlens_workbench.pruning import dispensable, seen_from, simpler
-from motorlens_workbench.run import Run, prepare_all
 from motorlens_workbench.selection import Progress, cornered
-from motorlens_workbench.shaft import followed
 from motorlens_workbench.steps import Step, advance, imperfections, in_full, uneven
 
 Array = NDArray[np.float64]
 
 MOST = 3
-# By how much (logarithm of the error of a channel) another way to take the inputs must be better than the recorded one.
-BETTER_WAY = 0.0025
 # What a single curve may explain from the start, over all that was named.
 INSTEAD = 1.25
 
@@ -86,8 +83,6 @@ def investigate(
     runs = used
     say("screening all effects and sensor faults")
     first = look(base, runs, own)
-    if swamped(first) is not None:
-        return Finding(runs, base, first, (), first, (), dead=dead)
 
     def onward(steps: list[Step]) -> tuple[list[Step], Look, list[str], list[Bend], list[Bend]]:
         now = first
@@ -156,75 +151,18 @@ def _left(
     return left, left
 
 
-def base_fit(file: MotorFile, runs: Sequence[Run]) -> tuple[Fit, tuple[Run, ...]]:
-    """The textbook's parameters fitted, and the runs with their inputs as they fit best.
-
-    Whether the voltage was held between samples or ran linearly, and whether what its sensor adds is noise or was truly
-    applied, is not written in a recording; nor is whether a command acted at once. The better fit decides.
-    """
-    if commanded(file) and not any(run.late for run in runs):
-        runs = as_applied(file, runs)
-    prior = base_prior(file, runs)
-    quieter = tuple(run.quieter() for run in runs)
-    # Parameters fitted to noisy inputs have made up for the noise: each way is judged by a fit of its own as well.
-    fits = on_all_cores(
-        lambda taken: fit(start_model(file, taken), taken, prior), dict.fromkeys((tuple(runs), quieter))
-    )
-    chosen, held = [], []
-    for r, (run, quiet) in enumerate(zip(runs, quieter, strict=True)):
-        shown = fits[0].model.held[r]
-        ways = [(one, h) for one in dict.fromkeys((run, quiet)) for h in (shown, not shown)]
-        errors = np.min([[_error_of(found, one, h, r) for one, h in ways] for found in fits], axis=0)
-        # The way as recorded stays unless another is clearly better.
-        errors[0] -= BETTER_WAY * len(run.channels)
-        slow, fast = errors[:, 0].reshape(-1, 2), errors[:, 1].reshape(-1, 2)
-        held.append((shown, not shown)[int(np.argmin(slow.min(axis=0)))])
-        smoother = len(slow) > 1 and slow[1].min() < slow[0].min()
-        # Smoothing leaves slow errors of its own; what is fast may still tell that the noise was not truly applied.
-        noisy = smoother or (len(fast) > 1 and fast[1].min() < fast[0].min())
-        rough = replace(run, input_noise=quiet.input_noise) if noisy else run
-        chosen.append(quiet if smoother else rough)
-    model = fits[-1 if any(run.smooth for run in chosen) else 0].model
-    found = fit(replace(model, held=tuple(held)), chosen, prior)
-    leans = any(converter.step for run in chosen for converter in run.converters)
+def base_fit(
+    file: MotorFile, runs: Sequence[Run], say: Progress = lambda text: None
+) -> tuple[Fit, tuple[Run, ...]]:
+    """The motor fitted, and the runs with their inputs as they truly were, as far as the fit knows."""
+    found = estimate(file, runs, progress=say)
+    leans = any(converter.step for run in runs for converter in run.converters)
     turned = any("phi" in effect.states for effect in file.motor.effects)
-    for r, run in enumerate(chosen):
-        trajectory, y = predict(found.model, run, r)
-        chosen[r] = followed(run.leaning(y) if leans else run, trajectory, y)
-    return fit(found.model, chosen, prior) if leans or turned else found, tuple(chosen)
-
-
-def commanded(file: MotorFile) -> bool:
-    """Whether the voltage on record is what the drive was asked for: the motor file says that no sensor of it can lag."""
-    known = file.knowledge.get("voltage_sensor_lag.tau")
-    return known is not None and known.sd == 0 and known.source.startswith(MEASURED)
-
-
-def as_applied(file: MotorFile, runs: Sequence[Run]) -> tuple[Run, ...]:
-    """The runs, or, if that is clearly better, all with their voltage one sample later: it is one drive."""
-    prior = base_prior(file, runs)
-    ways = (tuple(runs), tuple(run.later() for run in runs))
-
-    def error(taken: Sequence[Run]) -> float:
-        found = fit(start_model(file, taken), taken, prior)
-        return sum(
-            min(_error_of(found, run, held, r)[0] for held in (False, True)) for r, run in enumerate(taken)
-        )
-
-    at_once, late = on_all_cores(error, ways)
-    return ways[late < at_once - BETTER_WAY * sum(len(run.channels) for run in runs)]
-
-
-def _error_of(found: Fit, way: Run, held: bool, r: int) -> tuple[float, float]:
-    """Logarithm of the error of a run with its inputs taken this way, and of its change from row to row."""
-    # Without the skews, which have made up for the wrong way by half a sample.
-    straight = {key: 0.0 for key in found.prior.keys if key.startswith("skew.")}
-    model = replace(
-        found.model, held=tuple(held if k == r else h for k, h in enumerate(found.model.held))
-    ).with_values(straight)
-    try:
-        residual = way.average(way.measured - predict(model, way, r)[1])[way.fresh()]
-    except ModelError:
-        return float("inf"), float("inf")
-    size = [np.mean(e**2, axis=0) + way.floor**2 for e in (residual, np.diff(residual, axis=0))]
-    return float(np.sum(0.5 * np.log(size[0]))), float(np.sum(0.5 * np.log(size[1])))
+    followed_runs = []
+    for r, run in enumerate(found.runs):
+        trajectory, y = predict(found.fit.model, run, r)
+        followed_runs.append(followed(run.leaning(y) if leans else run, trajectory, y))
+    if leans or turned:
+        again = estimate(file, followed_runs, begin=found.fit.model)
+        return again.fit, again.runs
+    return found.fit, tuple(followed_runs)

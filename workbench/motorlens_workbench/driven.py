@@ -15,7 +15,6 @@ from motorlens_physics.effects.supply_resistance import SupplyResistance
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.fitting import MEASURED
 
 # How much stronger a source is than what it works against.
 DWARFS = 1e4
@@ -51,7 +50,7 @@ def driven(file: MotorFile, recordings: Sequence[Recording]) -> tuple[MotorFile,
     }
     motor = file.motor.without_effect(_SOURCE) if _has_source(file) else file.motor
     with_source = replace(file, motor=motor.with_effect(SupplyResistance(R_s=resistance)))
-    known = {key: Knowledge(0.0, f"{MEASURED}: imposed") for key in imposed}
+    known = {key: Knowledge(0.0, "imposed") for key in imposed}
     fed = [_fed(recording, resistance, damping) for recording in recordings]
     return with_source.with_values(imposed, known), fed
 

@@ -65,25 +65,6 @@ class Evidence:
             samples=np.append(self.samples, 0.0),
         )
 
-    def less(self, feigned: Array) -> "Evidence":
-        """Without what errors of the measured inputs put into the residual's products.
-
-        Args:
-            feigned: (D, B, M - 1) products of every column with the residual in each block, drawn D times; their mean is
-                taken out, and their scatter is left beside, so that every test knows how well that mean is known.
-        """
-        mean = feigned.mean(axis=0)
-        taken = self.blocks.copy()
-        taken[:, :-1, -1] -= mean
-        taken[:, -1, :-1] -= mean
-        draws = len(feigned)
-        scatter = np.zeros((draws, *self.blocks.shape[1:]))
-        of_mean = (feigned.sum(axis=1) - mean.sum(axis=0)) / draws
-        scatter[:, :-1, -1] = scatter[:, -1, :-1] = of_mean
-        return replace(
-            self, blocks=np.concatenate([taken, scatter]), samples=np.append(self.samples, np.zeros(draws))
-        )
-
     def solve(self, names: Sequence[str]) -> tuple[Array, Array]:
         """Least squares on some columns: coefficients (k,) and covariance (k, k) for unit white noise."""
         total = self.total

@@ -16,19 +16,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.prior import base_prior
+from motorlens_physics.estimate.run import STATE_OF, Run, prepare
+from motorlens_physics.estimate.whitening import white
 from motorlens_physics.scenario import perform, scenarios
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import MotorlensError
 from motorlens_workbench.candidates import Candidate, candidates
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.evidence import _inverse
-from motorlens_workbench.fitting import base_prior, start_model
 from motorlens_workbench.look import noise_floor
-from motorlens_workbench.run import STATE_OF, Run, prepare
 from motorlens_workbench.screen import columns_of
 from motorlens_workbench.steps import Step
 from motorlens_workbench.verdict import IMPERFECT, Verdict
-from motorlens_workbench.whitening import white
 
 Array = NDArray[np.float64]
 

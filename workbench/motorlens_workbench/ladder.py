@@ -7,14 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.fit import Fit, fit, noise_of
+from motorlens_physics.estimate.free_run import free_runs
+from motorlens_physics.estimate.model import parts_of
+from motorlens_physics.estimate.prior import base_prior, nuisance_prior
+from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.fitting import Fit, Prior, base_prior, fit, noise_of, start_model
-from motorlens_workbench.look import look
-from motorlens_workbench.model import parts_of, predict
-from motorlens_workbench.run import Run, prepare, prepare_all
+from motorlens_workbench.look import look, pooled_floor
 from motorlens_workbench.screen import all_columns, evidence_of, held_out_errors, held_out_rmse, with_priors
 from motorlens_workbench.selection import REAL, WORTH, Progress, refit, total
 
@@ -96,7 +99,7 @@ def add(
     if test.score is None:
         return Ladder(
             tuple(rungs),
-            _floor(now.noise, runs),
+            pooled_floor(now.found.model, runs),
             0.0,
             False,
             "it is a copy of what the base parameters already do",
@@ -106,7 +109,7 @@ def add(
     if found is None:
         return Ladder(
             tuple(rungs),
-            _floor(now.noise, runs),
+            pooled_floor(now.found.model, runs),
             test.statistic,
             False,
             "no model with it could be simulated",
@@ -124,7 +127,7 @@ def add(
         why = f"what it explains is within chance (statistic {gain:.3g}, needed {REAL:g})"
     elif not better:
         why = "the error on blocks held out does not fall"
-    return Ladder(tuple(rungs), _floor(now.noise, runs), gain, not why, why)
+    return Ladder(tuple(rungs), pooled_floor(now.found.model, runs), gain, not why, why)
 
 
 def remove(
@@ -144,18 +147,16 @@ def remove(
         raise DataError(f"{name} is not in the motor file")
     runs = prepare_all(recordings, file)
     say("fitting the motor file as it is")
-    with_it, _, _ = _rung(name, file, runs, judge, differing)
+    with_it, better, better_runs = _rung(name, file, runs, judge, differing)
     without = replace(
         file,
         motor=file.motor.without_effect(name),
         sensors=tuple(sensor for sensor in file.sensors if sensor.name() != name),
     )
     say(f"fitting without {name}")
-    rung, found, used = _rung(f"without {name}", without, runs, judge, differing)
-    floor = _floor(
-        tuple(np.std(e[run.fresh()], axis=0) for e, run in zip(found.residuals, used, strict=True)), used
-    )
-    return Ladder((with_it, rung), floor, 0.0, True, "")
+    rung, _, _ = _rung(f"without {name}", without, runs, judge, differing)
+    # The floor is that of the better model: what the other lacks is no noise.
+    return Ladder((with_it, rung), pooled_floor(better.model, better_runs), 0.0, True, "")
 
 
 def _imposed(file: MotorFile, name: str) -> bool:
@@ -201,66 +202,44 @@ def _described(
         added,
         file,
         held_out_rmse(found, runs, columns, evidence),
-        judged(file, judge, found.model.held, differing, late=runs[0].late),
+        judged(file, judge, differing),
     )
 
 
 def judged(
-    file: MotorFile,
-    recordings: Sequence[Recording],
-    held: Sequence[bool] = (),
-    differing: Sequence[str] = (),
-    *,
-    late: bool = False,
+    file: MotorFile, recordings: Sequence[Recording], differing: Sequence[str] = ()
 ) -> dict[str, float]:
-    """RMSE of each channel of free runs over whole recordings, from their first samples.
+    """RMSE of each channel of free runs over whole recordings, as `compare` states it.
 
-    Nothing is fitted, unless motors of one make differ in some parameters: those are then fitted to each recording, and the
-    error is that of its blocks of time which they were not fitted to. What was added keeps the size it was learnt with.
+    Nothing of the motor is fitted, unless motors of one make differ in some parameters: those are then fitted to each
+    recording, and the error is that of its blocks of time which they were not fitted to. What was added keeps the size
+    it was learnt with.
 
     Args:
         file: the motor.
         recordings: to judge by.
-        held: whether the voltage was held between samples, as found with the recordings that were fitted.
         differing: parameters of the motor file, by key.
-        late: whether the voltage acts one sample later, likewise.
 
     Raises:
         DataError: the motor file has no such parameter.
     """
     squares: dict[str, list[Array]] = {}
     for recording in recordings:
-        run = prepare(recording, file)
-        run = run.later() if late else run
-        model = replace(start_model(file, [run]), held=(bool(held[0]) if held else False,))
+        runs = prepare_all([recording], file)
         if differing:
-            found = fit(model, [run], _only(base_prior(file, [run]), differing))
-            columns = all_columns(found, [run], (), (), with_decoys=False)
-            evidence = with_priors(evidence_of(columns, [run], found.whiteners), found)
-            error = held_out_errors(found, [run], columns, evidence)[0]
-            error = error[run.fresh()]
+            prior = base_prior(file, runs)
+            unknown = [key for key in differing if key not in prior.sd]
+            if unknown:
+                known = ", ".join(key for key in prior.keys if "@" not in key)
+                raise DataError(f"{', '.join(unknown)}: no such parameter of the motor file; known: {known}")
+            found = estimate(file, runs, prior.only(differing).joined(nuisance_prior(file, runs)))
+            columns = all_columns(found.fit, found.runs, (), (), with_decoys=False)
+            evidence = with_priors(evidence_of(columns, found.runs, found.fit.whiteners), found.fit)
+            error = held_out_errors(found.fit, found.runs, columns, evidence)[0][found.runs[0].fresh()]
+            channels = found.runs[0].channels
         else:
-            error = (run.measured - predict(model, run, 0)[1])[run.valid]
-        for c, channel in enumerate(run.channels):
+            beside = free_runs(file, runs)[1][0]
+            error, channels = beside.error[beside.run.valid], beside.run.channels
+        for c, channel in enumerate(channels):
             squares.setdefault(channel, []).append(error[:, c] ** 2)
     return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
-
-
-def _only(prior: Prior, keys: Sequence[str]) -> Prior:
-    unknown = [key for key in keys if key not in prior.sd]
-    if unknown:
-        known = ", ".join(key for key in prior.keys if "@" not in key)
-        raise DataError(f"{', '.join(unknown)}: no such parameter of the motor file; known: {known}")
-    return Prior(
-        {key: prior.centre[key] for key in keys},
-        {key: prior.sd[key] for key in keys},
-        {key: prior.bounds[key] for key in keys},
-    )
-
-
-def _floor(noise: Sequence[Array], runs: Sequence[Run]) -> dict[str, float]:
-    squares: dict[str, list[tuple[float, int]]] = {}
-    for sd, run in zip(noise, runs, strict=True):
-        for c, channel in enumerate(run.channels):
-            squares.setdefault(channel, []).append((float(sd[c] ** 2), len(run)))
-    return {c: float(np.sqrt(sum(s * n for s, n in p) / sum(n for _, n in p))) for c, p in squares.items()}

@@ -14,8 +14,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import Forcing
 from motorlens_workbench.curves import Term
 
 Array = NDArray[np.float64]

@@ -8,18 +8,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.parameter import Rated
 from motorlens_workbench.bend import Bend, Free
 from motorlens_workbench.changes import Change, changes
 from motorlens_workbench.contacts import loose_contact
 from motorlens_workbench.curves import BALANCES, Curve, curves
 from motorlens_workbench.evidence import Evidence, curve_gain, statistics
-from motorlens_workbench.fitting import Fit
-from motorlens_workbench.input_errors import without_input_errors
 from motorlens_workbench.lasting import Lasting, lasting
 from motorlens_workbench.look import Look
-from motorlens_workbench.model import predict
-from motorlens_workbench.run import Run
 from motorlens_workbench.screen import all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL
 from motorlens_workbench.turning import CurveWhileTurning
@@ -58,7 +57,6 @@ def leftover(found: Fit, runs: Sequence[Run], decoy: float) -> list[Bend]:
     free += [v for v in variations(found.model.file, trajectories, outputs) if loaded or not _may_be_load(v)]
     columns = all_columns(found, runs, (), free, with_decoys=False)
     evidence = evidence_of(columns, runs, found.whiteners)
-    evidence = without_input_errors(evidence, found, runs, found.whiteners, (), free, with_decoys=False)
     # Without the priors: a curve must not count because it is a parameter of the model that the motor file holds back.
     left = evidence.given(found.prior.keys)
     held = with_priors(evidence, found).given(found.prior.keys)

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.fit import Fit, noise_of, plain_noise, squares
+from motorlens_physics.estimate.free_run import floor_of
+from motorlens_physics.estimate.model import Model, predict
+from motorlens_physics.estimate.run import Run
 from motorlens_workbench.candidates import candidates
 from motorlens_workbench.curves import BALANCES, curves
 from motorlens_workbench.evidence import Evidence, statistics
-from motorlens_workbench.fitting import Fit, noise_of, plain_noise, squares
-from motorlens_workbench.input_errors import without_input_errors
-from motorlens_workbench.model import predict
-from motorlens_workbench.run import Run
 from motorlens_workbench.screen import (
     Columns,
     all_columns,
@@ -29,10 +29,6 @@ Array = NDArray[np.float64]
 
 # Times the noise floor from which on a channel is not explained.
 FAR = 2.0
-# Share of a parameter by which errors of the inputs may move it and still be told from what is missing.
-SWAMPED = 0.17
-# Of which parameters: those that a drive's noise moves little where the motor is driven.
-WELL_KNOWN = ("R_a0", "ke", "J")
 # Share of the squared error of a channel, beyond its noise, that is much of it.
 MUCH = 0.15
 
@@ -43,8 +39,7 @@ class Look:
 
     Attributes:
         found: the fit it was taken from, with the noise of this screen.
-        evidence: all columns, without what errors of the inputs feign.
-        recorded: all columns, as recorded.
+        evidence: all columns, along the corrected inputs.
         left: what the fitted parameters leave.
         tests: every candidate.
         decoy: the best statistic that a decoy reaches.
@@ -54,7 +49,6 @@ class Look:
 
     found: Fit
     evidence: Evidence
-    recorded: Evidence
     left: Evidence
     tests: dict[str, Test]
     decoy: float
@@ -80,34 +74,13 @@ def look(found: Fit, runs: Sequence[Run], own: Sequence[type[Effect]] = ()) -> L
     columns = all_columns(found, runs, listed, free)
     rest, spent = unexplained(columns, runs, plain_noise(found.residuals, runs), found.prior.keys)
     whiteners = noise_of(rest, runs, spent)
-    recorded = evidence_of(columns, runs, whiteners)
-    evidence = without_input_errors(recorded, found, runs, whiteners, listed, free, with_decoys=True)
-    evidence = with_priors(evidence, found)
+    evidence = with_priors(evidence_of(columns, runs, whiteners), found)
     found = replace(found, whiteners=whiteners, error=squares(found.residuals, runs, whiteners))
     left = evidence.given(found.prior.keys)
     tests = test_all(left, listed, found.model)
     tests |= seen_turning(tests, found, runs)
     noise = tuple(np.sqrt(np.mean(e[run.fresh()] ** 2, axis=0)) for e, run in zip(rest, runs, strict=True))
-    recorded = with_priors(recorded, found)
-    return Look(found, evidence, recorded, left, tests, decoy_of(left), noise, columns)
-
-
-def swamped(now: Look) -> tuple[str, float] | None:
-    """The well-known parameter that errors of the inputs alone move most, as a share of the motor file's value.
-
-    None if that is little. Near standstill the noise of a voltage may drive as much current as its signal: the resistance
-    that then fits best is far too large, and an estimate of the error, made from there, falls short.
-    """
-    prior = now.found.prior
-    (cleared, _), (recorded, _) = now.evidence.solve(prior.keys), now.recorded.solve(prior.keys)
-    off = dict(zip(prior.keys, np.abs(cleared - recorded).tolist(), strict=True))
-    moved = {
-        key: off[key] * prior.sd[key] / abs(prior.centre[key])
-        for key in WELL_KNOWN
-        if key in off and prior.centre[key]
-    }
-    most = max(moved, key=lambda key: moved[key], default=None)
-    return (most, moved[most]) if most is not None and moved[most] > SWAMPED else None
+    return Look(found, evidence, left, tests, decoy_of(left), noise, columns)
 
 
 def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:
@@ -118,15 +91,24 @@ def decoy_of(left: Evidence, given: Sequence[str] = ()) -> float:
 
 def held_out(now: Look, runs: Sequence[Run]) -> dict[str, float]:
     """RMSE of each channel on blocks of time that the parameters were not fitted to, see `held_out_rmse`."""
-    return held_out_rmse(now.found, runs, now.columns, now.recorded)
+    return held_out_rmse(now.found, runs, now.columns, now.evidence)
 
 
 def noise_floor(now: Look, runs: Sequence[Run]) -> dict[str, float]:
-    """Standard deviation of what nothing explains, per channel, over all runs."""
+    """What a perfect model's error would be, per channel, over all runs: as `compare` states it, of averaged rows."""
+    return pooled_floor(now.found.model, runs)
+
+
+def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
+    """The floor of each channel over runs from an estimate, see `free_run.floor_of`."""
     squares: dict[str, list[tuple[float, int]]] = {}
-    for noise, run in zip(now.noise, runs, strict=True):
-        for c, channel in enumerate(run.channels):
-            squares.setdefault(channel, []).append((float(noise[c] ** 2), len(run)))
+    for r, run in enumerate(runs):
+        plain = replace(run, corrections=None)
+        error = run.measured - predict(model, plain, r)[1]
+        for channel, floor in zip(
+            run.channels, floor_of(model, plain, r, error, averaged=run.every), strict=True
+        ):
+            squares.setdefault(channel, []).append((float(floor**2), len(run)))
     return {
         channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
         for channel, parts in squares.items()

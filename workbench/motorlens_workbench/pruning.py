@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+from motorlens_physics.estimate.fit import Fit, fit
+from motorlens_physics.estimate.model import Model, parts_of, with_effect, with_sensor, without_part
+from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence import own_score, similarity
-from motorlens_workbench.fitting import Fit, Prior, fit, part_prior, start_prior
 from motorlens_workbench.look import Look
-from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor, without_part
-from motorlens_workbench.run import Run
 from motorlens_workbench.selection import REAL, WORTH, possible, total
 from motorlens_workbench.steps import NEAR, Step, among, as_good, inflation_of
 

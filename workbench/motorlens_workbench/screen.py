@@ -12,16 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.sensitivity import Linearisation, linearise
-from motorlens_physics.sensor_model import SensorModel
-from motorlens_physics.simulation import Trajectory
-from motorlens_physics.threads import on_all_cores
-from motorlens_workbench.candidates import Candidate, Forcing, decoys, forcing
-from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
-from motorlens_workbench.fitting import Fit, usable
-from motorlens_workbench.model import (
+from motorlens_physics.estimate.fit import Fit, usable
+from motorlens_physics.estimate.forcing import Forcing, forcing
+from motorlens_physics.estimate.model import (
     TOLERANCE,
     Model,
+    error_of,
     inputs_of,
     motor_of,
     sensitivities_of,
@@ -30,8 +26,14 @@ from motorlens_workbench.model import (
     through_sensors,
     with_sensor,
 )
-from motorlens_workbench.run import STATE_OF, Run
-from motorlens_workbench.whitening import Whitener
+from motorlens_physics.estimate.run import STATE_OF, Run
+from motorlens_physics.estimate.whitening import Whitener
+from motorlens_physics.sensitivity import INITIAL, Linearisation, linearise
+from motorlens_physics.sensor_model import SensorModel
+from motorlens_physics.simulation import Trajectory
+from motorlens_physics.threads import on_all_cores
+from motorlens_workbench.candidates import Candidate, decoys
+from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 
 Array = NDArray[np.float64]
 
@@ -105,7 +107,9 @@ class Line:
             # Forcings of the shaft angle follow the known one, which does not drift.
             trajectory = replace(trajectory, states={**trajectory.states, "phi": run.shaft["phi"]})
 
-        def respond(voltage: Array, torque: Array, heat: Array, *, held: bool = False) -> Array:
+        def respond(
+            voltage: Array, torque: Array, heat: Array, *, held: bool | tuple[bool, bool, bool] = False
+        ) -> Array:
             states = linearisation.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat, held=held)
             stacked = np.stack([states[STATE_OF[channel]] for channel in run.channels], axis=1)
             return run.average(through_sensors(model, run, stacked))
@@ -150,7 +154,7 @@ class Line:
             (there.voltage_V - here.voltage_V)[:, None],
             (here.load_torque_Nm - there.load_torque_Nm)[:, None],
             still,
-            held=here.held,
+            held=here.hold,
         )[:, :, 0]
 
     def of_curve(self, curve: Addition) -> Array:
@@ -206,7 +210,8 @@ def columns_of(
         seen = sensor.channel in (*run.channels, "voltage", *run.known)
         parts.append((line.of_sensor(sensor) if seen else np.zeros(shape))[:, :, None])
     parts += [line.of_curve(curve) for curve in free_curves]
-    parts += [line.of_forcings(list(false.values())), run.average(run.measured - y)[:, :, None]]
+    error = error_of(model, run, r, run.measured - y, linearisation)
+    parts += [line.of_forcings(list(false.values())), run.average(error)[:, :, None]]
     return Columns(tuple(names), np.concatenate(parts, axis=2))
 
 
@@ -239,21 +244,6 @@ def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequ
             blocks.append(flat.T @ flat)
             samples.append(float(kept[rows].sum()))
     return Evidence.of(names, np.array(blocks), np.array(samples))
-
-
-def products_with(
-    columns: Sequence[Columns], residuals: Sequence[Array], runs: Sequence[Run], whiteners: Sequence[Whitener]
-) -> Array:
-    """(B, m, D) whitened products, by blocks of time, of all columns with other residuals, (rows, C) or (rows, C, D)."""
-    products = []
-    for r, (one, other, run, whitener) in enumerate(zip(columns, residuals, runs, whiteners, strict=True)):
-        kept = usable(run, whitener)
-        white = whitener(other.reshape(*other.shape[:2], -1))
-        pieces = [rows for k, rows in layout(runs, whiteners) if k == r]
-        for rows, part in zip(pieces, whitener.pieces(one.table, pieces), strict=True):
-            flat = part[kept[rows]].reshape(-1, part.shape[2])
-            products.append(flat[:, :-1].T @ white[rows][kept[rows]].reshape(len(flat), white.shape[2]))
-    return np.array(products)
 
 
 # How many columns the noise model may first take out, and the statistic that entitles a column to it.
@@ -326,11 +316,14 @@ def held_out_errors(
     """
     keys = found.prior.keys
     blocks = layout(runs, found.whiteners)
+    # Where a run started is told by its first block alone.
+    starts = [k for k, key in enumerate(keys) if key.startswith(INITIAL)]
     errors = [one.residual.copy() for one in columns]
     for fold in range(folds):
         kept = np.array([k >= len(blocks) or k % folds != fold for k in range(len(evidence.blocks))])
         part = Evidence(evidence.names, evidence.blocks[kept], evidence.samples[kept], evidence.power)
         move, _ = part.solve(keys)
+        move[starts] = 0.0
         for r, rows in (block for k, block in enumerate(blocks) if k % folds == fold):
             errors[r][rows] -= columns[r].values[rows][:, :, : len(keys)] @ move
     return errors

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.fit import Fit, fit
+from motorlens_physics.estimate.model import Model, parts_of, with_effect, with_sensor
+from motorlens_physics.estimate.prior import RELATIVE_SD, Prior, part_prior, start_prior
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.candidates import Candidate, shaped
 from motorlens_workbench.evidence import Evidence, Score, score, similarity
-from motorlens_workbench.fitting import RELATIVE_SD, Fit, Prior, fit, part_prior, start_prior
-from motorlens_workbench.model import Model, parts_of, with_effect, with_sensor
-from motorlens_workbench.run import Run
 
 Array = NDArray[np.float64]
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from motorlens_physics.estimate.fit import Fit, plain_noise
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.bend import Bend
 from motorlens_workbench.candidates import Candidate
 from motorlens_workbench.evidence import own_score
-from motorlens_workbench.fitting import Fit, plain_noise
 from motorlens_workbench.look import Look, decoy_of
-from motorlens_workbench.run import Run
 from motorlens_workbench.screen import all_columns, errors_by_block, evidence_of, held_out_rmse, with_priors
 from motorlens_workbench.selection import (
     ACCEPTED,

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.forcing import Forcing, forcing
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.shaft import turning
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import Forcing, forcing
 from motorlens_workbench.curves import Curve
 from motorlens_workbench.evidence import Score, score
-from motorlens_workbench.fitting import Fit
-from motorlens_workbench.run import Run
 from motorlens_workbench.screen import all_columns, evidence_of, with_priors
 from motorlens_workbench.selection import REAL, Test
-from motorlens_workbench.shaft import turning
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,13 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.forcing import Forcing, inputs_at
+from motorlens_physics.estimate.shaft import STANDS
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import Forcing, equation_of, inputs_at
+from motorlens_workbench.candidates import equation_of
 from motorlens_workbench.curves import hat_functions, knots_of
-from motorlens_workbench.shaft import STANDS
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.prior import RELATIVE_SD
 from motorlens_workbench.bend import Bend
 from motorlens_workbench.contacts import Spells
 from motorlens_workbench.diagnosis import INSTEAD, MOST, Finding
 from motorlens_workbench.evidence import own_score
-from motorlens_workbench.fitting import RELATIVE_SD, Fit
 from motorlens_workbench.leftover import SHARP
-from motorlens_workbench.look import Look, swamped, unsettled
+from motorlens_workbench.look import Look, unsettled
 from motorlens_workbench.selection import REAL, WORTH, Test, cornered
 from motorlens_workbench.steps import TOLD_APART, Step
 
@@ -89,14 +90,6 @@ def _with_the_dead(verdict: Verdict, found: Finding) -> Verdict:
 
 
 def _of_the_living(found: Finding) -> Verdict:
-    if (drowned := swamped(found.first)) is not None:
-        said = (
-            f"Noise of the measured inputs alone moves {drowned[0]} by {100 * drowned[1]:.0f} %: what may be missing cannot "
-            "be told. Drive the motor harder, or measure its inputs with less noise."
-        )
-        return Verdict(
-            "not_testable", (), (), None, dict.fromkeys(found.first.tests, 0.0), None, (said, *limits(found))
-        )
     chosen = tuple(step.test.candidate.name for step in found.steps)
     groups = tuple(group_of(step, chosen) for step in found.steps)
     bend = structure(found)

@@ -6,13 +6,18 @@ example:
   motorlens calibrate bench.csv soak.csv --motor start.toml --fit R_a0,ke,J,b -o motor.toml
 
 Recordings need voltage and at least one of current, speed and temperature; fast and slow ones are fitted together. What
-the motor file states as a deviation is a prior. What the recordings do not tell stays as it was, and is said so.
+the motor file states as a deviation is a prior; what it states with sd = 0 is never fitted. What the recordings do not
+tell stays as it was, and is said so.
 """
 
 import argparse
+from typing import TYPE_CHECKING
 
 from motorlens_physics.command_inputs import add_input_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
+
+if TYPE_CHECKING:
+    from motorlens_physics.estimate.calibrate import Calibration
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,26 +27,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="make a motor file from the numbers in the example")  # fmt: skip
     parser.add_argument("-o", "--output", required=True, metavar="NEW.toml", help="where the motor file goes")
     parser.add_argument(
-        "--fit", metavar="KEYS", help="parameters to fit, by commas (default: all that can show)"
+        "--fit", metavar="KEYS", help="parameters to fit, by commas (default: all that are not known exactly)"
     )
     parser.add_argument("--between-rows", choices=("hold", "linear"),
-                        help="what voltage and load do between rows (default: what fits better)")  # fmt: skip
+                        help="what voltage and load do between rows (default: what is likelier)")  # fmt: skip
     parser.add_argument(
         "--fit-load", action="store_true", help="each recording has an unknown constant load torque"
     )
-    parser.add_argument("--window", type=float, metavar="S",
-                        help="simulate in windows of this length, tied together: for runs that drift")  # fmt: skip
+    parser.add_argument("--accept-unconverged", action="store_true",
+                        help="write the motor file also where the fit did not come to its end")  # fmt: skip
     add_json_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    import sys
-
-    from motorlens_physics.calibration import calibrate, default_keys
     from motorlens_physics.command_inputs import inputs_from, print_notes
     from motorlens_physics.datasheet import from_datasheet, parse_datasheet
+    from motorlens_physics.estimate.calibrate import calibrate
     from motorlens_physics.motor_file import write_motor_file
-    from motorlens_runtime.errors import DataError
+    from motorlens_runtime.errors import DataError, ModelError
+    from motorlens_runtime.progress import Progress
 
     if (arguments.motor is None) == (arguments.datasheet is None):
         raise DataError("give either --motor MOTOR.toml or --datasheet NAME=NUMBER ...")
@@ -60,40 +64,24 @@ def run(arguments: argparse.Namespace) -> int:
     }
     if arguments.recordings:
         recordings = given.recordings(arguments.recordings)
-        keys = arguments.fit.split(",") if arguments.fit else default_keys(file, recordings)
+        keys = arguments.fit.split(",") if arguments.fit else None
         held = None if arguments.between_rows is None else arguments.between_rows == "hold"
-        found = calibrate(
-            file, recordings, keys, held=held, fit_load=arguments.fit_load, window_s=arguments.window,
-            progress=lambda text: print(text, file=sys.stderr),
-        )  # fmt: skip
+        with Progress(0, "calibrating: step") as progress:
+            steps = iter(range(1, 1_000_000))
+            found = calibrate(
+                file, recordings, keys, held=held, fit_load=arguments.fit_load,
+                progress=lambda text: progress.update(next(steps), text),
+            )  # fmt: skip
+        if not found.converged and not arguments.accept_unconverged:
+            raise ModelError(
+                "not converged, nothing written: start closer, fit fewer parameters (--fit), or take it as it is with "
+                "--accept-unconverged"
+            )
+        for line in _lines(found):
+            print(line)
+        report |= found.as_json(recordings)
         file = found.file
         print_notes(recordings)
-        units = {key: file.meaning(key).unit for key in found.keys}
-        for key in found.keys:
-            if key not in found.unidentified:
-                print(f"{key:32} {found.value[key]:12.6g} +- {found.sd[key]:.2g} {units[key]}")
-        for sentence in (*found.unidentified.values(), *found.confounded):
-            print(sentence)
-        for recording, sizes in zip(recordings, found.noise_sd, strict=True):
-            print(f"{recording.name}: left over " + ", ".join(f"{c} {sd:.3g}" for c, sd in sizes.items()))
-        if not found.converged:
-            print("not converged: start closer, fit fewer parameters, or try --window")
-        report |= {
-            "recordings": [recording.name for recording in recordings],
-            "parameters": {
-                key: {"value": found.value[key], "sd": found.sd[key], "unit": units[key],
-                      "identified": key not in found.unidentified}
-                for key in found.keys
-            },
-            "correlation": {"keys": list(found.keys), "matrix": found.correlation.tolist()},
-            "unidentified": list(found.unidentified.values()),
-            "confounded": list(found.confounded),
-            "residual_sd": list(found.noise_sd),
-            "initial": [dict(start) for start in found.initial],
-            "load_torque_Nm": list(found.load_torque_Nm),
-            "between_rows": "hold" if found.held else "linear",
-            "converged": found.converged,
-        }  # fmt: skip
     else:
         for key, value in file.values().items():
             print(f"{key:32} {value:12.6g} +- {file.knowledge[key].sd:.2g} {file.meaning(key).unit}")
@@ -104,3 +92,19 @@ def run(arguments: argparse.Namespace) -> int:
     write_motor_file(file, arguments.output)
     write_json(report, arguments.json)
     return 0
+
+
+def _lines(found: "Calibration") -> list[str]:
+    file, said = found.file, found.findings
+    lines = [
+        f"{key:32} {found.value[key]:12.6g} +- {found.sd[key]:.2g} {file.meaning(key).unit}"
+        for key in said.told
+    ]
+    lines += said.sentences
+    for run, sizes in zip(found.runs, found.residual_sd, strict=True):
+        lines.append(f"{run.name}: left over " + ", ".join(f"{c} {sd:.3g}" for c, sd in sizes.items()))
+    if found.outliers:
+        lines.append(f"{found.outliers} samples were left out: no noise explains them")
+    if not found.converged:
+        lines.append("not converged: values and deviations are those of the last step")
+    return lines

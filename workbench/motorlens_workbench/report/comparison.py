@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_physics.scenario import time_constants
 from motorlens_workbench.balances import EQUATIONS
 from motorlens_workbench.comparison import Comparison, remark, spectrum
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Section, page, significant
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Samples, Table, cloud, curves
-from motorlens_workbench.run import UNIT_OF
 
 # Error in multiples of the noise at which the next colour of the map begins: 1 is as good as can be, and from 100 on the
 # model is of no use there. Fixed, so that maps can be compared.

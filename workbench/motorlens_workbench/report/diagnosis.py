@@ -1,15 +1,16 @@
 """The diagnosis as one page: verdict sentence, pictures, numbers, how to reproduce it."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.diagnosis import Finding
 from motorlens_workbench.evidence import similarity
-from motorlens_workbench.model import predict
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Section, page, significant, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Table, curves
-from motorlens_workbench.run import UNIT_OF
 from motorlens_workbench.verdict import Verdict
 
 UNIT_AGAINST = {
@@ -74,6 +75,7 @@ def _shape(verdict: Verdict) -> Plot:
 def _overlays(found: Finding, document: dict[str, Any]) -> Content:
     plots: Content = []
     for r, run in enumerate(found.runs):
+        run = replace(run, corrections=None)
         trajectory, before = predict(found.base.model, run, r)
         predicted = {"base model": ("lacking", before)}
         if found.steps:

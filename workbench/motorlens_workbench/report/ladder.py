@@ -2,20 +2,15 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from motorlens_physics.estimate.free_run import free_runs
+from motorlens_physics.estimate.run import UNIT_OF, prepare_all
 from motorlens_physics.recording import Recording
-from motorlens_workbench.fitting import start_model
 from motorlens_workbench.ladder import Ladder
-from motorlens_workbench.model import predict
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Section, page
 from motorlens_workbench.report.pictures import Bar, Bars, Grid, Plot, Table
-from motorlens_workbench.run import UNIT_OF, Run, prepare
 
 
 def to_json(found: Ladder, effect: str, motor: str, written: str | None) -> dict[str, Any]:
@@ -141,20 +136,10 @@ def before_and_after(found: Ladder, recordings: Sequence[Recording]) -> list[Plo
     for recording in recordings:
         predicted = {}
         for name, (role, file) in files.items():
-            run = prepare(recording, file)
-            # The recording does not say whether its voltage was held between samples; the better agreement does.
-            ways = [
-                predict(replace(start_model(file, [run]), held=(held,)), run, 0) for held in (False, True)
-            ]
-            trajectory, values = min(ways, key=lambda way: _error(run, way[1]))
-            predicted[name] = (role, values)
-        plots.append(overlay(run, trajectory, predicted, found.noise_floor))
+            beside = free_runs(file, prepare_all([recording], file))[1][0]
+            predicted[name] = (role, beside.predicted)
+        plots.append(overlay(beside.run, beside.trajectory, predicted, found.noise_floor))
     return plots
-
-
-def _error(run: Run, predicted: NDArray[np.float64]) -> float:
-    error = (run.measured - predicted)[run.valid]
-    return float(np.mean(np.log(np.mean(error**2, axis=0) + 1e-300)))
 
 
 def _label(added: str) -> str:

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.run import STATE_OF, UNIT_OF, Run
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.report.pictures import Axes, Line, Plot, time_plots
-from motorlens_workbench.run import STATE_OF, UNIT_OF, Run
 
 Array = NDArray[np.float64]
 

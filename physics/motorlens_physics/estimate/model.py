@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.forcing import SETTLED, as_read, is_rise, of_angle
+from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
-from motorlens_workbench.candidates import SETTLED, as_read, is_rise, of_angle
-from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
 
@@ -39,12 +39,12 @@ class Model:
         file: the motor, its effects and its sensors.
         own: per run, by name: "initial.STATE", "load" (N m, an unmeasured constant load), "ambient" (K, an unmeasured
             ambient), "skew.CHANNEL" (s, how late a channel is sampled).
-        held: per run, whether the voltage was held between samples.
+        held: per run, whether voltage, load torque and ambient were held between samples, each.
     """
 
     file: MotorFile
     own: tuple[Mapping[str, float], ...]
-    held: tuple[bool, ...] = field(default=())
+    held: tuple[tuple[bool, bool, bool], ...] = field(default=())
 
     def values(self) -> dict[str, float]:
         """All parameters by key."""
@@ -87,18 +87,21 @@ def motor_of(model: Model, run: Run) -> Motor:
 def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
     own, shown = model.own[r], run.inputs
-    motor, held = model.file.motor, model.held[r] if model.held else shown.held
+    motor, held = model.file.motor, model.held[r] if model.held else shown.hold
     detents, ripple = np.zeros(len(shown.time_s)), np.zeros(len(shown.time_s))
     for effect in by_angle(model, run):
         assert run.shaft is not None
-        added = of_angle(effect, motor, SimpleNamespace(**run.shaft), as_read(shown), held=held)
+        added = of_angle(effect, motor, SimpleNamespace(**run.shaft), as_read(shown), held=held[0])
         detents, ripple = detents + added.torque, ripple + added.voltage
     load = shown.load_torque_Nm
     if "load_torque" in run.known:  # a sensor that was not there shows nothing wrong
         load = _unread(model.file.sensors, "load_torque", shown.time_s, load)
+    voltage = _unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V)
+    if run.corrections is not None:
+        voltage, load = voltage + run.corrections[:, 0], load + run.corrections[:, 1]
     inputs = replace(
         shown,
-        voltage_V=_unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V) + ripple,
+        voltage_V=voltage + ripple,
         load_torque_Nm=load + own.get("load", 0.0) - detents,
         ambient_C=shown.ambient_C + own.get("ambient", 0.0),
         held=held,
@@ -213,10 +216,19 @@ def sensitivities_of(
             moved = linear.respond(
                 voltage_V=(other.voltage_V - inputs.voltage_V)[:, None] / step,
                 torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
-                held=inputs.held,
+                held=inputs.hold,
             )
             columns[:, :, j : j + 1] = through_sensors(model, run, _stack_states(run, moved))
     return trajectory, out, columns, linear
+
+
+def error_of(model: Model, run: Run, r: int, difference: Array, linear: Linearisation) -> Array:
+    """(N, C) the error beside the inputs as they were recorded, from that beside the corrected ones, linearised."""
+    if run.corrections is None:
+        return difference
+    voltage, load = run.corrections[:, :1], run.corrections[:, 1:]
+    moved = linear.respond(voltage_V=voltage, torque_Nm=-load, held=model.held[r])
+    return difference + through_sensors(model, run, _stack_states(run, moved))[:, :, 0]
 
 
 def _sensor(model: Model, key: str) -> SensorModel:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from motorlens_workbench.denoise import noise_sd, smoothed
+from motorlens_physics.estimate.signals import noise_sd, smoothed
 
 
 def test_noise_goes_and_steps_stay():

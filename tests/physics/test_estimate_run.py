@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import largest_offset, prepare, prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.candidates import candidates
 from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.fitting import start_model
 from motorlens_workbench.look import look
-from motorlens_workbench.model import predict
-from motorlens_workbench.run import largest_offset, prepare, prepare_all
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 

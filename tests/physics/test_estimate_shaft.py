@@ -10,6 +10,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from motorlens_physics.effect import Effect, State, catalogue
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.forcing import between_samples
+from motorlens_physics.estimate.model import predict, sensitivities_of, with_effect
+from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.shaft import followed
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.ops import cos, exp
 from motorlens_physics.parameter import param
@@ -17,12 +22,8 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.candidates import shaped
 from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.fitting import start_model
 from motorlens_workbench.leftover import leftover
 from motorlens_workbench.look import look
-from motorlens_workbench.model import predict, sensitivities_of, with_effect
-from motorlens_workbench.run import prepare_all
-from motorlens_workbench.shaft import between_samples, followed
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.run import STATE_OF, Run
+from motorlens_physics.estimate.signals import noise_sd, smoothed
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.denoise import noise_sd, smoothed
-from motorlens_workbench.run import STATE_OF, Run
 
 Array = NDArray[np.float64]
 
@@ -70,25 +70,3 @@ def turning(angle: Array, speed_rad_s: Array, period: float) -> NDArray[np.bool_
     passage = np.searchsorted(ends, np.arange(len(way)))
     before, after = np.abs(angle - angle[begins[passage]]), np.abs(angle[ends[passage]] - angle)
     return np.asarray((way != 0) & (before >= period) & (after >= period))
-
-
-def between_samples(advance: Array, lag: float, *, held: bool) -> NDArray[np.complex128]:
-    """(N,) factor for samples of a rotating phasor, so that a first-order lag answers as to the phasor itself.
-
-    The true answer over that of the sampled lag, 1 / (1 + j w T) over (b0 + b1 z) / (z - k) with z = exp(j w dt), where the
-    lag is driven by straight lines, or steps, between the samples (Franklin, Powell and Workman, Digital Control of Dynamic
-    Systems, 3rd ed., section 6.3). A pure integrator driven by lines wants tan(h) / h, h = w dt / 2.
-
-    Args:
-        advance: (N,) phase from one sample to the next, rad, w dt.
-        lag: time constant in samples, T / dt.
-        held: steps, not lines.
-
-    >>> round(float(abs(between_samples(np.array([0.5]), 1e6, held=False)[0])), 4), round(float(np.tan(0.25) / 0.25), 4)
-    (1.0214, 1.0214)
-    """
-    keep = np.exp(-1 / lag)
-    later = 0.0 if held else 1 - lag * (1 - keep)
-    z = np.exp(1j * advance)
-    sampled = (1 - keep - later + later * z) / (z - keep)
-    return np.asarray(1 / (1 + 1j * advance * lag) / np.where(np.abs(sampled) > 1e-12, sampled, 1e-12))

@@ -6,16 +6,20 @@ than some 30 000 rows; the simulation itself runs on every sample.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.converter import Converter, converter_of, leaning, quantisation_step
+from motorlens_physics.estimate.signals import moving_mean, noise_sd
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.converter import Converter, converter_of, leaning, quantisation_step
-from motorlens_workbench.denoise import Noise, moving_mean, noise_of_input, noise_sd, smoothed
+
+if TYPE_CHECKING:
+    from motorlens_physics.estimate.noise import Noise
 
 Array = NDArray[np.float64]
 
@@ -36,6 +40,8 @@ AT_REST = 5
 # Consecutive samples with the same number that are a channel that hangs, where noise keeps others from being equal: the
 # share of equal neighbours elsewhere, and the noise as a share of the range.
 HANGS, EQUAL, NOISY = 100, 0.2, 1e-4
+# The start is guessed from this many samples: their median is no outlier.
+FIRST = 3
 # The ambient temperature is averaged over this long.
 AMBIENT_S = 60.0
 
@@ -56,14 +62,17 @@ class Run:
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
         shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
-        input_noise: of the voltage (V) and the load torque (N m), where it is their sensors' and was not truly applied.
-        smooth: whether it was smoothed away as far as it can be.
-        input_step: the least significant bit of either, 0 if continuous.
+        there: (N, C) which samples of each output were measured.
+        quantum: (C,) standard deviation that the converter of an output adds to a sample.
+        input_step: the least significant bit of voltage and load torque, 0 if continuous.
+        corrections: (N, 2) what truly acted less what the sensors of voltage (V) and load torque (N m) showed, as a fit
+            expects it given all that was measured; None is nothing.
         converters: of the channels.
         turns: whether what goes with the shaft angle is looked for in it, see `prepare_all`.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
         hung: channel -> when it first and last hung, in s; these samples are not valid.
-        late: whether the voltage acts one sample later than recorded, see `later`.
+        noise: of its sensors and inputs, as an estimate found it.
+        late: channel -> by how many samples it was recorded late, and was moved.
     """
 
     name: str
@@ -71,20 +80,22 @@ class Run:
     channels: tuple[str, ...]
     measured: Array
     valid: NDArray[np.bool_]
+    there: NDArray[np.bool_]
+    quantum: Array
     every: int
     start: dict[str, float]
     known: tuple[str, ...]
     floor: Array
     angle: Array | None = None
-    input_noise: tuple[Noise, Noise] = (Noise(), Noise())
     input_step: tuple[float, float] = (0.0, 0.0)
-    smooth: bool = False
+    corrections: Array | None = None
     offset_below: Mapping[str, float] = field(default_factory=dict)
     converters: tuple[Converter, ...] = ()
     turns: bool = True
     shaft: Mapping[str, Array] | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    late: bool = False
+    late: Mapping[str, int] = field(default_factory=dict)
+    noise: "Noise | None" = None
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -106,55 +117,34 @@ class Run:
         rows = len(y) // self.every
         return np.asarray(y[: rows * self.every].reshape(rows, self.every, *y.shape[1:]).mean(axis=1))
 
-    def quieter(self) -> "Run":
-        """With the noise of the measured inputs smoothed away, see `denoise`; itself if the sampling is uneven."""
-        time = self.inputs.time_s
-        steps = np.diff(time)
-        if np.std(steps) > 0.1 * np.median(steps):
-            return self
-        shown = self.inputs
-        voltage, load = zip((shown.voltage_V, shown.load_torque_Nm), self.input_step, strict=True)
-        smooth = replace(shown, voltage_V=smoothed(*voltage), load_torque_Nm=smoothed(*load))
-        noise = (noise_of_input(*voltage), noise_of_input(*load))
-        return replace(self, inputs=smooth, input_noise=noise, smooth=True)
-
-    def later(self) -> "Run":
-        """With the voltage one sample later: a command that the drive computes in one period and applies in the next."""
-        shown = self.inputs
-        applied = np.concatenate([shown.voltage_V[:1], shown.voltage_V[:-1]])
-        return replace(self, inputs=replace(shown, voltage_V=applied), late=True)
-
-    @property
-    def disturbed(self) -> bool:
-        """Whether the errors of its inputs are known to be worth a thought."""
-        return any(self.input_noise) or any(self.input_step)
-
     @property
     def coarse(self) -> bool:
         """Whether a channel's converter leans: its noise does not blur its steps."""
         return any(converter.lean > LEANS for converter in self.converters)
 
-    def stirred(self, seed: int, sign: float) -> "Run":
-        """With errors of its inputs as large again as those that smoothing left; itself if they were not smoothed.
+    def holding(self, held: tuple[bool, bool, bool]) -> "Run":
+        """With voltage, load torque and ambient holding between samples, or running linearly, each."""
+        return self if self.inputs.hold == held else replace(self, inputs=replace(self.inputs, held=held))
 
-        Args:
-            seed: of the errors.
-            sign: 1, or -1 for the same errors the other way.
-        """
-        if not self.disturbed:
+    def corrected(self, errors: Array) -> "Run":
+        """With what the inputs' sensors are taken to have shown too little (N, 2), V and N m."""
+        return replace(self, corrections=errors)
+
+    def delayed(self, channel: str, samples: int) -> "Run":
+        """With a channel, or the voltage, taken to be recorded this many samples late; what is lost at an end is missing."""
+        if not samples:
             return self
-        rng = np.random.default_rng(seed)
-        stirred = []
-        shown = (self.inputs.voltage_V, self.inputs.load_torque_Nm)
-        for y, noise, step in zip(shown, self.input_noise, self.input_step, strict=True):
-            noisy = y + sign * noise.draw(rng, len(y))
-            if step:
-                # The same converter with its levels shifted: errors that last as long as a level is held.
-                shift = sign * step * rng.uniform(-0.5, 0.5)
-                noisy = np.round((noisy + shift) / step) * step - shift
-            stirred.append(smoothed(noisy, step) if (noise or step) and self.smooth else noisy)
-        voltage, load = stirred
-        return replace(self, inputs=replace(self.inputs, voltage_V=voltage, load_torque_Nm=load))
+        late = dict(self.late) | {channel: self.late.get(channel, 0) + samples}
+        if channel == "voltage":
+            # What was applied is what was recorded later; beyond the end, the last.
+            moved = _earlier(self.inputs.voltage_V, samples)
+            inputs = replace(self.inputs, voltage_V=moved)
+            return replace(self, inputs=inputs, late=late)
+        c = self.channels.index(channel)
+        measured, there = self.measured.copy(), self.there.copy()
+        measured[:, c] = _earlier(measured[:, c], samples)
+        there[:, c] = _earlier(there[:, c], samples) & _inside(len(there), samples)
+        return replace(self, measured=measured, there=there, valid=np.all(there, axis=1), late=late)
 
     def leaning(self, truth: Array) -> "Run":
         """With its converters' lean towards their levels improved by what a fit (N, C) leaves."""
@@ -190,8 +180,8 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         raise DataError(f"{recording.name}: {rows} samples are too few to compare with a model")
     time = recording.time_s - recording.time_s[0]
     measured = np.empty((rows, len(used)))
-    valid = np.ones(rows, dtype=bool)
-    floor = np.empty(len(used))
+    present = np.ones((rows, len(used)), dtype=bool)
+    floor, quantum = np.empty(len(used)), np.empty(len(used))
     start = {"i": 0.0, "w": 0.0, "theta": 0.0}
     # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other, and a
     # winding does not follow a draught.
@@ -202,7 +192,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     for k, channel in enumerate(used):
         y = recording.channels[channel]
         there, hangs = np.isfinite(y), hanging(y)
-        valid &= there & ~hangs
+        present[:, k] = there & ~hangs
         if hangs.any():
             first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
             hung[channel] = (first, last)
@@ -211,12 +201,19 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         # While a coarse converter shows the same number, its error stays the same too: the whole dwell counts as one sample.
         dwell = rows / (1 + np.count_nonzero(np.diff(measured[:, k])))
         coarse = quantisation_step(y) / np.sqrt(12) * np.sqrt(dwell if dwell > 3 else 1.0)
+        quantum[k] = coarse
         floor[k] = max(coarse, 1e-4 * spread, 1e-9) / np.sqrt(every)
-        start[STATE_OF[channel]] = float(np.median(measured[:3, k]))
+        start[STATE_OF[channel]] = float(np.median(measured[:FIRST, k]))
     if "temperature" in used:
         start["theta"] = float(
             np.median(measured[: max(3, rows // 1000), used.index("temperature")]) - ambient[0]
         )
+    # What was not measured follows from the voltage balance at its steady state.
+    voltage, resistance = recording.channels["voltage"], file.motor.resistance(start["theta"])
+    if "speed" not in used and "current" in used:
+        start["w"] = float((voltage[0] - resistance * start["i"]) / file.motor.ke)
+    if "current" not in used and "speed" in used:
+        start["i"] = float((voltage[0] - file.motor.ke * start["w"]) / resistance)
     load = recording.channels.get("load_torque", np.zeros(rows))
     inputs = Inputs(time, recording.channels["voltage"], load, ambient)
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
@@ -234,12 +231,13 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         }
         seen = {STATE_OF[c]: measured[:, k] for k, c in enumerate(used) if c != "temperature"}
         shaft = {**rough, **seen}
-    coarse = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
+    coarse_inputs = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
     exact = {
         q: limit for q in ("voltage", *used) if (limit := largest_offset(recording.channels[q])) is not None
     }
     return Run(
-        recording.name, inputs, used, measured, valid, every, start, known, floor, angle, input_step=coarse,
+        recording.name, inputs, used, measured, np.all(present, axis=1), present, quantum, every, start, known, floor, angle,
+        input_step=coarse_inputs,
         offset_below=exact, converters=tuple(converter_of(recording.channels[q]) for q in used),
         shaft=shaft, hung=hung,
     )  # fmt: skip
@@ -299,3 +297,14 @@ def _least_bit(y: Array) -> float:
     # A converter toggles between two levels where the signal is steady, however few levels are used; a command does not.
     toggles = noise_sd(y, step) > TOGGLES * step
     return step if toggles or COARSEST * step <= np.max(np.abs(y)) else 0.0
+
+
+def _earlier(y: NDArray[Any], samples: int) -> NDArray[Any]:
+    """(N,) moved earlier by some samples (later if negative), the value at the end repeated."""
+    at = np.clip(np.arange(len(y)) + samples, 0, len(y) - 1)
+    return np.asarray(y[at])
+
+
+def _inside(rows: int, samples: int) -> NDArray[np.bool_]:
+    at = np.arange(rows) + samples
+    return np.asarray((at >= 0) & (at < rows))

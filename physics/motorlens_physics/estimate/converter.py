@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_workbench.denoise import noise_sd
+from motorlens_physics.estimate.signals import noise_sd
 
 Array = NDArray[np.float64]
 

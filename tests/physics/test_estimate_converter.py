@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from motorlens_workbench.converter import Converter, converter_of, leaning, quantisation_step
-from motorlens_workbench.denoise import noise_sd, smoothed
+from motorlens_physics.estimate.converter import Converter, converter_of, leaning, quantisation_step
+from motorlens_physics.estimate.signals import noise_sd, smoothed
 
 STEP = 0.3
 

@@ -1,0 +1,210 @@
+"""Calibration: the parameters of a motor from recordings, as a motor file that says what is known and what is not."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.prior import Prior, around, base_prior
+from motorlens_physics.estimate.report import Findings, correlation, findings
+from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.motor_file import Knowledge, MotorFile
+from motorlens_physics.recording import Recording
+from motorlens_runtime.errors import DataError, ModelError
+
+Array = NDArray[np.float64]
+
+# What is not told is put back where it was; the others are fitted again if that moves one by more than this share of its
+# deviation.
+MOVES = 0.05
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration found.
+
+    Attributes:
+        estimate: the fit of all that was free.
+        findings: what it says of each parameter.
+        value: by key, with what is not told at its prior.
+        file: the motor file with values, deviations and sources of what the recordings tell written in.
+    """
+
+    estimate: Estimate
+    findings: Findings
+    value: Mapping[str, float]
+    file: MotorFile
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The free parameters of the motor file."""
+        return self.findings.keys
+
+    @property
+    def sd(self) -> Mapping[str, float]:
+        """Standard deviation by key."""
+        return self.findings.sd
+
+    @property
+    def unidentified(self) -> Mapping[str, str]:
+        """What the recordings do not tell, by key, in words."""
+        return self.findings.untold
+
+    @property
+    def confounded(self) -> tuple[str, ...]:
+        """What they tell only together, in words."""
+        return self.findings.confounded
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The recordings as they were fitted."""
+        return self.estimate.runs
+
+    @property
+    def converged(self) -> bool:
+        """Whether what was left to go is small against the deviations."""
+        return self.estimate.converged
+
+    @property
+    def outliers(self) -> int:
+        """Samples that were left out."""
+        return self.estimate.outliers
+
+    @property
+    def held(self) -> tuple[bool, ...]:
+        """Whether the voltage of each recording held between samples."""
+        return tuple(way[0] for way in self.estimate.fit.model.held)
+
+    @property
+    def own(self) -> tuple[Mapping[str, float], ...]:
+        """Of each recording, its start and what else is its own, see `model.Model`."""
+        return self.estimate.fit.model.own
+
+    @cached_property
+    def residuals(self) -> tuple[Mapping[str, Array], ...]:
+        """Of each recording, channel to measured less predicted (rows,)."""
+        parts = zip(self.runs, self.estimate.fit.residuals, strict=True)
+        return tuple({c: e[:, k] for k, c in enumerate(run.channels)} for run, e in parts)
+
+    @property
+    def residual_sd(self) -> tuple[Mapping[str, float], ...]:
+        """Of each recording, channel to the standard deviation of its residuals."""
+        return tuple({c: float(np.std(e)) for c, e in one.items()} for one in self.residuals)
+
+    def as_json(self, recordings: Sequence[Recording]) -> dict[str, object]:
+        """For the command's JSON."""
+        said = self.findings
+        loads = [own["load"] for own in self.own if "load" in own]
+        return {
+            "recordings": [recording.name for recording in recordings],
+            "parameters": {
+                key: {"value": self.value[key], "sd": self.sd[key], "unit": self.file.meaning(key).unit,
+                      "identified": key not in said.untold}
+                for key in self.keys
+            },
+            "correlation": {"keys": list(self.keys), "matrix": correlation(self.estimate.fit, self.keys).tolist()},
+            "unidentified": list(said.untold.values()),
+            "confounded": list(said.confounded),
+            "at_bound": list(said.at_bound.values()),
+            "far": list(said.far.values()),
+            "residual_sd": [dict(one) for one in self.residual_sd],
+            "initial": [
+                {name[8:]: value for name, value in own.items() if name.startswith("initial.")} for own in self.own
+            ],
+            "load_torque_Nm": loads,
+            "between_rows": ["hold" if held else "linear" for held in self.held],
+            "outliers": self.outliers,
+            "converged": self.converged,
+        }  # fmt: skip
+
+
+def calibrate(
+    file: MotorFile,
+    recordings: Sequence[Recording],
+    keys: Sequence[str] | None = None,
+    *,
+    held: bool | None = None,
+    fit_load: bool = False,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Calibration:
+    """Fit parameters to recordings jointly.
+
+    Args:
+        file: the motor, with what is known of it; deviations stated there are priors.
+        recordings: any subset of current, speed and temperature measured; rates may differ. Load torque absent is zero.
+        keys: of parameters of motor, effects and sensors; None is all that are not known exactly.
+        held: whether inputs hold between samples or run linearly; None takes what is likelier.
+        fit_load: whether each recording has an unknown constant load torque besides what was recorded.
+        progress: told what goes on.
+
+    Raises:
+        DataError: recordings that cannot be used, or that tell nothing.
+        ModelError: unknown or fixed parameters, or a motor that cannot be simulated where it starts.
+    """
+    if not recordings:
+        raise ModelError("calibration needs at least one recording")
+    runs = prepare_all(recordings, file)
+    names = ", ".join(recording.name for recording in recordings)
+    if not any(_moves(run) for run in runs):
+        raise DataError(f"{names}: nothing can be told; no current, speed or temperature ever changes")
+    prior = chosen(file, base_prior(file, runs), keys)
+    begin = start_model(file, runs)
+    if fit_load:
+        for r in range(len(runs)):
+            prior = prior.joined(around(f"load@{r}", 0.0, file.rated.torque_Nm))
+            begin = begin.with_values({f"load@{r}": 0.0})
+    found = estimate(file, runs, prior, held=held, begin=begin, progress=progress)
+    said = findings(found.fit)
+    if not said.told:
+        raise DataError(f"{names}: nothing can be told; the recordings leave every parameter where it was")
+    value = dict(said.value)
+    if said.untold and _shifted(found, said):
+        # The rest of the fit leant on where these had gone.
+        model = found.fit.model.with_values({key: said.value[key] for key in said.untold})
+        rest = prior.only([key for key in prior.keys if key not in said.untold])
+        again = estimate(file, found.runs, rest, held=held, begin=model, progress=progress)
+        fitted = again.fit.model.values()
+        value |= {key: fitted[key] for key in said.told}
+    known = {key: Knowledge(said.sd[key], f"calibrated on {names}") for key in said.told}
+    return Calibration(found, said, value, file.with_values({key: value[key] for key in said.told}, known))
+
+
+def chosen(file: MotorFile, prior: Prior, keys: Sequence[str] | None) -> Prior:
+    """The prior of some parameters of the motor file, and of all nuisances.
+
+    Raises:
+        ModelError: a parameter that is not there, or that is stated by choice or exactly.
+    """
+    if keys is None:
+        return prior
+    for key in keys:
+        if key not in file.values():
+            raise ModelError(f"cannot fit {key!r}: {file.name} has {', '.join(file.values())}")
+        if file.meaning(key).fixed:
+            raise ModelError(f"cannot fit {key!r}: it is stated by choice, not found from recordings")
+        if key not in prior.keys:
+            raise ModelError(f"cannot fit {key!r}: the motor file states it exactly (sd = 0)")
+    return prior.only([key for key in prior.keys if "@" in key or key in keys])
+
+
+def _moves(run: Run) -> bool:
+    return any(
+        np.ptp(run.measured[run.there[:, c], c]) > 0
+        for c in range(len(run.channels))
+        if run.there[:, c].any()
+    )
+
+
+def _shifted(found: Estimate, said: Findings) -> bool:
+    """Whether putting back what is not told moves the rest of a fit by more than `MOVES` deviations."""
+    keys, fitted = found.fit.prior.keys, found.fit.model.values()
+    back = np.array([said.value[key] - fitted[key] for key in said.untold])
+    of = [keys.index(key) for key in said.untold]
+    rest = [keys.index(key) for key in said.told]
+    covariance = found.fit.covariance
+    moved = covariance[np.ix_(rest, of)] @ np.linalg.solve(covariance[np.ix_(of, of)], back)
+    return bool(np.any(np.abs(moved) > MOVES * np.sqrt(np.diagonal(covariance)[rest])))

@@ -1,0 +1,83 @@
+"""Channels that were recorded late: loggers that are not synchronised, buses that queue.
+
+A channel whose samples match the simulation better when all of them are taken some whole samples earlier is taken so; what
+is left of a sample is a nuisance that the fit finds (`prior`, "skew"). Knapp and Carter (1976), The generalized
+correlation method for estimation of time delay, doi:10.1109/TASSP.1976.1162830.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+
+from motorlens_physics.estimate.model import Model, predict
+from motorlens_physics.estimate.run import Run
+
+Array = NDArray[np.float64]
+
+# The longest delay that is looked for, as a share of the recording.
+LONGEST = 0.1
+# Gain in log likelihood, twice, that a delay must bring: the 1 % level of the best of as many lags as there are.
+LEVEL = 6.6
+
+
+def late_channels(model: Model, runs: Sequence[Run]) -> tuple[Run, ...]:
+    """The runs with the channels moved that follow the simulation late (or early) by a sample or more."""
+    return tuple(_moved(model, run, r) for r, run in enumerate(runs))
+
+
+def _moved(model: Model, run: Run, r: int) -> Run:
+    steps = np.diff(run.inputs.time_s)
+    if np.ptp(steps) > 0.5 * np.median(steps):
+        # Without even steps a delay is no number of samples.
+        return run
+    _, shown = predict(model, run, r)
+    for c, channel in enumerate(run.channels):
+        if channel != "temperature":
+            run = run.delayed(channel, lag_of(run.measured[:, c], shown[:, c], run.there[:, c]))
+    return run
+
+
+def lag_of(measured: Array, shown: Array, there: NDArray[np.bool_]) -> int:
+    """By how many samples what was measured (N,) comes after what is shown by the simulation; 0 unless beyond chance.
+
+    >>> t = np.arange(4000) * 0.01
+    >>> wave = np.sin(t + t**2 / 9)
+    >>> noise = 0.05 * np.random.default_rng(0).standard_normal(4000)
+    >>> there = np.ones(4000, dtype=bool)
+    >>> lag_of(np.roll(wave, 7) + noise, wave, there), lag_of(wave + noise, wave, there)
+    (7, 0)
+    """
+    rows = len(measured)
+    most = int(LONGEST * rows)
+    if most < 2 or np.ptp(shown) == 0:
+        return 0
+    y = np.where(there, measured - np.mean(measured[there]), 0.0)
+    # Before its start the motor is taken to have been as it starts, and after its end as it ends.
+    x = np.pad(shown - np.mean(shown), most, mode="edge")
+    cross = correlate(x, y, mode="valid", method="fft")[::-1]
+    power = (_windows(x * x, rows) - _windows(x, rows) ** 2 / rows)[::-1]
+    error = np.maximum(y @ y - np.maximum(cross, 0.0) ** 2 / np.maximum(power, 1e-300), 1e-300)
+    lags = np.arange(-most, most + 1)
+    best, here = int(np.argmin(error)), most
+    x = x[most:-most]
+    residual = y - cross[best] / power[best] * _shifted(x, int(lags[best]))
+    # Neighbouring errors are alike: the samples count for as many as are independent.
+    alike = float(
+        np.clip(np.mean(residual[1:] * residual[:-1]) / max(np.mean(residual**2), 1e-300), 0.0, 0.999)
+    )
+    independent = rows * (1 - alike) / (1 + alike)
+    gain = independent * np.log(error[here] / error[best])
+    # A lag of one sample is how the input ran between samples, or a skew.
+    return int(lags[best]) if abs(lags[best]) > 1 and gain > LEVEL + 2 * np.log(len(lags)) else 0
+
+
+def _windows(x: Array, rows: int) -> Array:
+    """Sums over all windows of this many rows."""
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    return np.asarray(total[rows:] - total[:-rows])
+
+
+def _shifted(x: Array, lag: int) -> Array:
+    return np.asarray(x[np.clip(np.arange(len(x)) - lag, 0, len(x) - 1)])

@@ -1,0 +1,315 @@
+"""Fitting a model to runs: one Levenberg-Marquardt for every way of weighing errors.
+
+Maximum a posteriori estimate of all parameters of the motor, its effects and sensors, and of the nuisances of each run,
+by simulation (output error), with what is known beforehand (`prior`). `Weighing` is what makes errors and sensitivities
+white: the noise of the recording as a state-space model (`estimate`), or an autoregression that is given (`whitening`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.model import Model, predict, sensitivities_of
+from motorlens_physics.estimate.prior import Prior, nuisance_prior
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.whitening import Whitener, fit_whitener, white
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.threads import on_all_cores
+from motorlens_runtime.errors import ModelError
+
+Array = NDArray[np.float64]
+
+# Damping is tried this often before a fit is taken to be at its end, each ten times the last.
+TRIES = 8
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes:
+        model: with the parameters found.
+        prior: what was known.
+        whiteners: noise of each run.
+        error: whitened sum of squares, priors excluded.
+        penalty: that of the priors.
+        covariance: (k, k) of `prior.keys`.
+        residuals: per run (rows, C), measured less predicted, averaged rows.
+        left: distance to the minimum, in standard deviations of the result, at the last step.
+    """
+
+    model: Model
+    prior: Prior
+    whiteners: tuple[Whitener, ...]
+    error: float
+    penalty: float
+    covariance: Array
+    residuals: tuple[Array, ...]
+    left: float = 0.0
+
+    def sd(self) -> dict[str, float]:
+        """Standard deviation of each parameter fitted."""
+        return dict(
+            zip(self.prior.keys, np.sqrt(np.maximum(np.diagonal(self.covariance), 0)).tolist(), strict=True)
+        )
+
+
+class Point(Protocol):
+    """Errors at some parameters, weighed."""
+
+    @property
+    def model(self) -> Model:
+        """The parameters."""
+
+    @property
+    def cost(self) -> float:
+        """Whitened sum of squares, priors excluded."""
+
+    def normal(self) -> tuple[Array, Array]:
+        """J^T J (k, k) and J^T e (k,) of whitened sensitivities and errors."""
+
+
+def start_model(file: MotorFile, runs: Sequence[Run]) -> Model:
+    """The motor file as it is, every run starting where its first samples say."""
+    own: list[dict[str, float]] = [{} for _ in runs]
+    for key, value in nuisance_prior(file, runs).centre.items():
+        name, _, r = key.partition("@")
+        own[int(r)][name] = value
+    return Model(file, tuple(own), tuple(run.inputs.hold for run in runs))
+
+
+P = TypeVar("P", bound=Point)
+
+
+def minimise(
+    begin: P,
+    prior: Prior,
+    at: Callable[[Model], P],
+    *,
+    rounds: int,
+    enough: float,
+    damping: float = 1e-6,
+    nearest: float = 0.0,
+    between: Callable[[P], P] = lambda point: point,
+    progress: Callable[[str], None] = lambda text: None,
+) -> tuple[P, Array, float]:
+    """Levenberg-Marquardt from a point.
+
+    Args:
+        begin: where to begin.
+        prior: the free parameters.
+        at: the point at a model.
+        rounds: at most this many steps.
+        enough: stop this close to the minimum, in standard deviations of the result.
+        damping: of the first step, a share of the diagonal.
+        nearest: share of itself below which nothing that can only be positive may fall in one step: at its bound a linear
+            step would leave it without a slope to come back by.
+        between: what is done at a point before the step from it, such as finding its noise.
+        progress: told how far there is to go.
+
+    Returns:
+        the last point, J^T J there with the prior's (k, k), and how far from the minimum it was before the last step.
+
+    Raises:
+        ModelError: the way leads where nothing can be simulated.
+    """
+    keys = prior.keys
+    point = begin
+    scale = np.array([prior.sd[key] for key in keys])
+    gram, left = np.diag(1 / scale**2), float("inf")
+    for k in range(rounds):
+        point = between(point)
+        values = point.model.values()
+        cost = point.cost + prior.penalty(values)
+        gram, gradient = point.normal()
+        if not np.isfinite(gram).all():
+            raise ModelError("the model's response to its parameters has no bound; start from other values")
+        gram = gram + np.diag(1 / scale**2)
+        gradient = gradient + np.array(
+            [(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys]
+        )
+        moved = False
+        for _ in range(TRIES):
+            step = _step(values, prior, gram, gradient, damping, nearest)
+            left = float(np.sqrt(max(float(step @ gram @ step), 0.0)))
+            if left < enough:
+                break
+            try:
+                trial = at(
+                    point.model.with_values(
+                        dict(zip(keys, (_vector(values, keys) + step).tolist(), strict=True))
+                    )
+                )
+                reached = trial.cost + prior.penalty(trial.model.values())
+            except ModelError:
+                reached = np.inf
+            if np.isfinite(reached) and reached < cost:
+                moved = True
+                break
+            damping = max(damping * 10, 1e-4)
+        if not moved:
+            break
+        point, damping = trial, max(damping / 10, 1e-9)
+        progress(f"step {k + 1}: {left:.3g} standard deviations to go")
+    return point, gram, left
+
+
+def _vector(values: Mapping[str, float], keys: Sequence[str]) -> Array:
+    return np.array([values[key] for key in keys])
+
+
+def _step(
+    values: Mapping[str, float], prior: Prior, gram: Array, gradient: Array, damping: float, nearest: float
+) -> Array:
+    """The damped step within bounds: parameters that it would push through stop there, and the rest is solved again."""
+    keys = prior.keys
+    at = _vector(values, keys)
+    low, high = (np.array([prior.bounds[key][side] for key in keys]) for side in (0, 1))
+    low = np.where(low > 0, np.maximum(low, nearest * at), low)
+    free, move = np.ones(len(keys), dtype=bool), np.zeros(len(keys))
+    damped = gram + damping * np.diag(np.diagonal(gram))
+    for _ in range(4):
+        right = gradient[free] - gram[np.ix_(free, ~free)] @ move[~free]
+        move[free] = inverse(damped[np.ix_(free, free)]) @ right
+        beyond = free & ((at + move < low) | (at + move > high))
+        if not beyond.any():
+            break
+        move[beyond] = np.clip(at[beyond] + move[beyond], low[beyond], high[beyond]) - at[beyond]
+        free &= ~beyond
+        if not free.any():
+            break
+    return np.clip(at + move, low, high) - at
+
+
+@dataclass(frozen=True)
+class _Whitened:
+    """Errors of averaged rows, made white by an autoregression."""
+
+    model: Model
+    runs: Sequence[Run]
+    keys: tuple[str, ...]
+    whiteners: tuple[Whitener, ...]
+    residuals: tuple[Array, ...]
+
+    @property
+    def cost(self) -> float:
+        return squares(self.residuals, self.runs, self.whiteners)
+
+    def normal(self) -> tuple[Array, Array]:
+        gram, gradient = np.zeros((len(self.keys), len(self.keys))), np.zeros(len(self.keys))
+
+        def one(r: int) -> tuple[list[int], Array, Array]:
+            run, whitener = self.runs[r], self.whiteners[r]
+            mine = [k for k, key in enumerate(self.keys) if "@" not in key or key.endswith(f"@{r}")]
+            columns = sensitivities_of(self.model, run, r, [self.keys[k] for k in mine])[2]
+            kept = usable(run, whitener)
+            z = whitener(run.average(columns))[kept].reshape(-1, len(mine))
+            return mine, z.T @ z, z.T @ whitener(self.residuals[r])[kept].ravel()
+
+        for mine, own, right in on_all_cores(one, range(len(self.runs))):
+            gram[np.ix_(mine, mine)] += own
+            gradient[mine] += right
+        return gram, gradient
+
+
+def fit(
+    model: Model,
+    runs: Sequence[Run],
+    prior: Prior,
+    whiteners: Sequence[Whitener] | None = None,
+    *,
+    rounds: int = 12,
+    enough: float = 0.02,
+    nearest: float = 0.0,
+) -> Fit:
+    """Fit the parameters that the prior names, starting from the model, with the noise as an autoregression.
+
+    Args:
+        model: where to begin.
+        runs: prepared recordings.
+        prior: the free parameters.
+        whiteners: the noise; None: white, of the size of the residuals, updated every round.
+        rounds, enough, nearest: see `minimise`.
+
+    Raises:
+        ModelError: the starting point cannot be simulated, or the way from it leads where nothing can be.
+    """
+
+    residuals = residuals_of(model, runs)
+    noise = tuple(whiteners) if whiteners is not None else plain_noise(residuals, runs)
+    latest = [noise]
+
+    def at(trial: Model) -> _Whitened:
+        return _Whitened(trial, runs, prior.keys, latest[0], residuals_of(trial, runs))
+
+    def between(here: _Whitened) -> _Whitened:
+        if whiteners is None:
+            latest[0] = plain_noise(here.residuals, runs)
+        return replace(here, whiteners=latest[0])
+
+    begin = _Whitened(model, runs, prior.keys, noise, residuals)
+    end, gram, left = minimise(
+        begin, prior, at, rounds=rounds, enough=enough, nearest=nearest, between=between,
+        damping=1e-3 if whiteners is None else 1e-6,
+    )  # fmt: skip
+    penalty = prior.penalty(end.model.values())
+    return Fit(end.model, prior, end.whiteners, end.cost, penalty, inverse(gram), end.residuals, left)
+
+
+def residuals_of(model: Model, runs: Sequence[Run]) -> tuple[Array, ...]:
+    """Measured less predicted, averaged rows, (rows, C) of each run.
+
+    Raises:
+        ModelError: a simulation cannot go on.
+    """
+    # Beside the inputs as they were measured: what their sensors showed wrongly is in the errors, whole.
+    shown = (predict(model, replace(run, corrections=None), r)[1] for r, run in enumerate(runs))
+    return tuple(run.average(run.measured - y) for run, y in zip(runs, shown, strict=True))
+
+
+def squares(residuals: Sequence[Array], runs: Sequence[Run], whiteners: Sequence[Whitener]) -> float:
+    """Whitened sum of squares over all valid rows."""
+    total = 0.0
+    for residual, run, whitener in zip(residuals, runs, whiteners, strict=True):
+        z = whitener(residual)[usable(run, whitener)]
+        total += float(np.sum(z * z))
+    return total
+
+
+def usable(run: Run, whitener: Whitener) -> NDArray[np.bool_]:
+    """(rows,) rows whose sample and all lags are valid."""
+    fresh = run.fresh()
+    kept = fresh.copy()
+    for lag in range(1, whitener.order + 1):
+        kept[lag:] &= fresh[:-lag]
+    kept[: whitener.order] = False
+    return kept
+
+
+def noise_of(residuals: Sequence[Array], runs: Sequence[Run], used: int = 0) -> tuple[Whitener, ...]:
+    """Noise models of residuals."""
+    return tuple(
+        fit_whitener(residual, run.fresh(), run.floor, used // len(runs))
+        for residual, run in zip(residuals, runs, strict=True)
+    )
+
+
+def plain_noise(residuals: Sequence[Array], runs: Sequence[Run]) -> tuple[Whitener, ...]:
+    """White noise of the residuals' size, taken robustly: where to begin."""
+    chosen = []
+    for residual, run in zip(residuals, runs, strict=True):
+        fresh = residual[run.fresh()]
+        size = np.sqrt(np.mean(fresh**2, axis=0))
+        chosen.append(white(np.maximum(size, run.floor)))
+    return tuple(chosen)
+
+
+def inverse(gram: Array) -> Array:
+    """Of a symmetric positive matrix, directions that are not determined kept finite."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    values = np.maximum(values, 1e-13 * values[-1])
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))

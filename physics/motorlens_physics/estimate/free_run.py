@@ -1,0 +1,150 @@
+"""A motor file beside recordings, with nothing of the motor fitted: what it would show, and how near that can be.
+
+Only what belongs to a recording and not to the motor is found: its start, from all its samples; how its inputs ran between
+samples; delays; an ambient that was not recorded; its noise. The floor is what a perfect model would miss by: the noise of
+the sensor itself, and what the noise of the measured inputs stirs up in the simulation and did not stir up in the motor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.model import TOLERANCE, Model, inputs_of, motor_of, predict, start_of
+from motorlens_physics.estimate.noise import BALANCES, TORQUE, Noise
+from motorlens_physics.estimate.prior import Prior, nuisance_prior
+from motorlens_physics.estimate.run import STATE_OF, Run
+from motorlens_physics.estimate.signals import noise_sd
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.sensitivity import linearise
+from motorlens_physics.simulation import Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """One recording beside a model.
+
+    Attributes:
+        run: the recording, with its inputs as measured.
+        trajectory: simulated.
+        predicted: (N, C) what the sensors would show.
+        floor: (C,) standard deviation of the error that a perfect model would leave.
+    """
+
+    run: Run
+    trajectory: Trajectory
+    predicted: Array
+    floor: Array
+
+    @property
+    def error(self) -> Array:
+        """(N, C) measured less predicted; 0 where nothing was measured."""
+        return np.where(self.run.valid[:, None], self.run.measured - self.predicted, 0.0)
+
+
+def free_runs(
+    file: MotorFile, runs: Sequence[Run], prior: Prior | None = None
+) -> tuple[Model, tuple[FreeRun, ...]]:
+    """The motor file beside recordings.
+
+    Args:
+        file: the motor.
+        runs: prepared recordings.
+        prior: what may be fitted; None is nothing of the motor, see `nuisance_prior`.
+
+    Raises:
+        ModelError: the motor cannot be simulated on one of them.
+    """
+    found = estimate(file, runs, nuisance_prior(file, runs) if prior is None else prior)
+    return found.fit.model, free_runs_of(found)
+
+
+def free_runs_of(found: Estimate) -> tuple[FreeRun, ...]:
+    """The recordings of an estimate beside its model."""
+    return tuple(_free_run(found.fit.model, run, r) for r, run in enumerate(found.runs))
+
+
+def _free_run(model: Model, run: Run, r: int) -> FreeRun:
+    plain = replace(run, corrections=None)
+    trajectory, predicted = predict(model, plain, r)
+    return FreeRun(plain, trajectory, predicted, floor_of(model, plain, r, plain.measured - predicted))
+
+
+def floor_of(model: Model, run: Run, r: int, error: Array, *, averaged: int = 1) -> Array:
+    """(C,) standard deviation that a perfect model's error has: of the sensors, and of the inputs through the motor.
+
+    The slow torque is none of it, for nobody measured it, and a channel's own noise is no larger than its error is rough.
+
+    Args:
+        model: along which noise of the inputs shows.
+        run: from an estimate, which found its noise.
+        r: its position.
+        error: (N, C) measured less predicted.
+        averaged: samples in a row of which the mean is taken.
+    """
+    assert run.noise is not None
+    rough = np.array([noise_sd(error[run.there[:, c], c]) for c in range(error.shape[1])])
+    own = np.minimum(run.noise.channels, rough**2 + run.quantum**2)
+    return np.sqrt(own / averaged + stirred_by_inputs(model, run, r, run.noise))
+
+
+def stirred_by_inputs(model: Model, run: Run, r: int, noise: Noise) -> Array:
+    """(C,) variance that noise of the measured inputs stirs up in what the model shows."""
+    inputs = inputs_of(model, run, r)
+    _, linear = linearise(motor_of(model, run), inputs, start_of(model, r), smooth=True, tolerance=TOLERANCE)
+    power = np.zeros(len(linear.states))
+    hold = np.array(inputs.hold)[BALANCES[:TORQUE]]
+    _mean_power(linear.matrices, BALANCES[:TORQUE], hold, noise.disturbances[:TORQUE], power)
+    return power[[linear.states.index(STATE_OF[channel]) for channel in run.channels]]
+
+
+@njit(cache=True, nogil=True)
+def _mean_power(matrices, balances, holds, variance, power):  # type: ignore[no-untyped-def]
+    """Mean variance of each state that white disturbances stir up."""
+    samples, n = matrices.shape[0], matrices.shape[1]
+    P, T = np.zeros((n, n)), np.zeros((n, n))
+    for k in range(samples):
+        for r in range(n):
+            for c in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += matrices[k, r, q] * P[q, c]
+                T[r, c] = total
+        for r in range(n):
+            for c in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += T[r, q] * matrices[k, c, q]
+                for d in range(len(balances)):
+                    j = balances[d]
+                    if holds[d]:
+                        a = matrices[k, r, n + j] + matrices[k, r, 2 * n + j]
+                        b = matrices[k, c, n + j] + matrices[k, c, 2 * n + j]
+                        total += a * b * variance[d]
+                    else:
+                        # A sample is shared by two intervals: its two parts go together.
+                        first = matrices[k, r, n + j] * matrices[k, c, n + j]
+                        last = matrices[k, r, 2 * n + j] * matrices[k, c, 2 * n + j]
+                        total += (first + last) * variance[d]
+                        if k:
+                            for q in range(n):
+                                total += (
+                                    variance[d]
+                                    * matrices[k, r, q]
+                                    * matrices[k - 1, q, 2 * n + j]
+                                    * matrices[k, c, n + j]
+                                )
+                                total += (
+                                    variance[d]
+                                    * matrices[k, c, q]
+                                    * matrices[k - 1, q, 2 * n + j]
+                                    * matrices[k, r, n + j]
+                                )
+                P[r, c] = total
+        for r in range(n):
+            power[r] += P[r, r] / samples

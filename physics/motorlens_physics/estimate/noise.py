@@ -1,0 +1,177 @@
+"""The noise of a recording, as it is in the recording: of its sensors, of its measured inputs, and a slow torque.
+
+Nothing of it is assumed. The errors of a simulation are whatever the sensors' noise, the inputs' noise and an unmeasured
+torque leave in all channels through the motor (`innovations`); the variances under which those errors are most likely are
+their maximum-likelihood estimates. Noise that was truly applied to the motor, such as a dither, leaves no error, and so
+counts as none.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.innovations import (
+    StateSpace,
+    disturbances,
+    innovations,
+    share_that_remains,
+)
+from motorlens_physics.estimate.run import STATE_OF, Run
+from motorlens_physics.estimate.signals import noise_sd
+from motorlens_physics.sensitivity import Linearisation
+
+Array = NDArray[np.float64]
+
+# The disturbances: voltage and load as measured, and a torque that nobody measured; the balance that each enters.
+BALANCES = np.array([0, 1, 1])
+VOLTAGE, LOAD, TORQUE = range(3)
+# How long the unmeasured torque lasts, in samples: the likelihood chooses.
+LASTS = (30.0, 300.0, 3000.0)
+# Samples in a stretch of a long recording, and how many stretches the variances are estimated from.
+STRETCH, STRETCHES = 1024, 6
+# Variances have settled when an update changes them by less than this share; disturbances are followed down to this
+# share of their largest.
+ENOUGH, SMALLEST = 0.005, 1e-8
+# Variances are believed down to this share of the channel's mean square: some three times the integration's own error, squared.
+LEAST = 1e-9
+# An innovation beyond this many standard deviations is no noise: one in two million would be.
+OUTLIER = 5.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The noise of one recording.
+
+    Attributes:
+        channels: (C,) variance of each sensor's white noise, in its unit squared.
+        disturbances: (3,) variance of the voltage's (V^2) and the load's noise and of the slow torque ((N m)^2).
+        most: (3,) the largest that each can be: a measured input is no noisier than it looks.
+        lasts_s: how long the slow torque lasts.
+        floor: (C,) smallest variance that is believed: the converter's, or the integration's.
+    """
+
+    channels: Array
+    disturbances: Array
+    most: Array
+    lasts_s: float
+    floor: Array
+
+    def space(self, run: Run, linear: Linearisation, used: NDArray[np.bool_]) -> StateSpace:
+        """The state-space model of a run's errors; samples (N, C) not `used` are passed over."""
+        time = run.inputs.time_s
+        hold = run.inputs.hold
+        sensors = np.where(used, self.channels, np.inf)
+        return StateSpace(
+            linear.matrices,
+            np.array([linear.states.index(STATE_OF[channel]) for channel in run.channels]),
+            BALANCES,
+            np.array([hold[0], hold[1], True]),
+            share_that_remains(time, np.array([0.0, 0.0, self.lasts_s])),
+            self.disturbances,
+            np.ascontiguousarray(sensors),
+            np.zeros(len(linear.states)),
+        )
+
+
+def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
+    """Where the estimate begins: sensors as noisy as the residual (N, C), inputs as noisy as they look, a small torque."""
+    size = np.array([np.mean(e[there] ** 2) if there.any() else 1.0 for e, there in _columns(residual, run)])
+    scale = np.array(
+        [np.mean(y[there] ** 2) if there.any() else 1.0 for y, there in _columns(run.measured, run)]
+    )
+    floor = np.maximum(run.quantum**2, LEAST * scale)
+    shown = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
+    looks = np.array(
+        [noise_sd(y, step) ** 2 + step**2 / 12 for y, step in zip(shown, run.input_step, strict=True)]
+    )
+    # A load that was not measured has no noise of its own, but the slow torque.
+    looks[LOAD] *= "load_torque" in run.known
+    torque = torque_Nm**2
+    most = np.array([*(1.5 * looks), torque])
+    return Noise(
+        np.maximum(size, floor), np.array([*looks, 1e-4 * torque]), most, LASTS[1] * run.period_s, floor
+    )
+
+
+def _columns(y: Array, run: Run) -> list[tuple[Array, NDArray[np.bool_]]]:
+    return [(y[:, c], run.there[:, c]) for c in range(y.shape[1])]
+
+
+def likelier(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_], updates: int
+) -> tuple[Noise, float]:
+    """Noise under which the errors (N, C) are likelier, and twice their negative logarithmic likelihood."""
+    stretches = _stretches(len(error))
+    space = noise.space(run, linear, used)
+    parts = [(rows, _stretch(space, rows, error)) for rows in stretches]
+    total = float("inf")
+    for _ in range(updates):
+        total, inputs, sensors = 0.0, np.zeros((2, 3)), np.zeros((2, error.shape[1]))
+        for rows, part in parts:
+            here = replace(
+                part,
+                variance=noise.disturbances,
+                noise=np.where(np.isfinite(part.noise), noise.channels, np.inf),
+            )
+            filtered = innovations(here, error[rows][:, :, None])
+            finite = np.isfinite(filtered.scale)
+            total += float(np.sum(filtered.white**2) + 2 * np.sum(np.log(filtered.scale[finite])))
+            _, of_inputs, of_channels = disturbances(here, filtered)
+            inputs, sensors = inputs + of_inputs, sensors + of_channels
+        # To the full ratio, not its root: it is a fixed point of both, and nearer.
+        likely = replace(
+            noise,
+            channels=np.maximum(noise.channels * _ratio(sensors), noise.floor),
+            disturbances=np.clip(noise.disturbances * _ratio(inputs), SMALLEST * noise.most, noise.most),
+        )
+        settled = _settled(noise.channels, likely.channels) and _settled(
+            noise.disturbances, likely.disturbances
+        )
+        noise = likely
+        if settled:
+            break
+    return noise, total
+
+
+def _settled(before: Array, after: Array) -> bool:
+    return bool(np.all(np.abs(after - before) <= ENOUGH * before))
+
+
+def _ratio(score: Array) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(score[1] > 0, score[0] / score[1], 1.0)
+    return np.clip(ratio, 0.05, 20.0)
+
+
+def _stretches(samples: int) -> list[slice]:
+    if samples <= STRETCH * STRETCHES:
+        return [slice(0, samples)]
+    begins = np.linspace(0, samples - STRETCH, STRETCHES).astype(int)
+    return [slice(int(begin), int(begin) + STRETCH) for begin in begins]
+
+
+def _stretch(space: StateSpace, rows: slice, error: Array) -> StateSpace:
+    if rows == slice(0, len(error)):
+        return space
+    start = np.zeros_like(space.start)
+    if rows.start:
+        # What came before has left the states anywhere within what the errors are.
+        start[space.shows] = np.mean(error**2, axis=0)
+    return replace(
+        space, matrices=space.matrices[rows.start : rows.stop - 1], keeps=space.keeps[rows.start : rows.stop - 1],
+        noise=space.noise[rows], start=start,
+    )  # fmt: skip
+
+
+def lasting(noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_]) -> Noise:
+    """The noise with the slow torque lasting as long as makes the errors likeliest."""
+    tried = [
+        likelier(replace(noise, lasts_s=samples * run.period_s), run, linear, error, used, 6)
+        for samples in LASTS
+    ]
+    return min(tried, key=lambda one: one[1])[0]
+
+
+__all__: Sequence[str] = ("Noise", "first_noise", "lasting", "likelier")

@@ -1,0 +1,176 @@
+"""What is known of a motor before its recordings are looked at: the motor file, and what anybody knows of motors.
+
+One table and one rule for every command. A parameter with `sd = 0` is known exactly and is never fitted. A stated
+deviation counts as stated. A value without one, or one that was fitted while something was missing from the model, may be
+off by the share of it that the table says.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from motorlens_physics.estimate.forcing import SETTLED, is_rise
+from motorlens_physics.estimate.model import Model, parts_of
+from motorlens_physics.estimate.run import FIRST, STATE_OF, Run
+from motorlens_physics.motor_file import Knowledge, MotorFile
+
+# How far from an unsupported value in a motor file a parameter may reasonably be, relative (one standard deviation). A
+# motor file may be rough; copper is copper.
+RELATIVE_SD = {
+    "R_a0": 0.4, "L": 0.5, "ke": 0.4, "J": 0.5, "b": 1.0, "alpha": 0.1, "k0": 0.5, "kT": 1.0, "k_ir": 1.0, "H": 0.5,
+}  # fmt: skip
+# A source that begins so was fitted while an effect was missing, and moves when the effect is added.
+FITTED = "fitted to"
+# A share of the value in the motor file below which no textbook parameter may fall: none is 20 times off.
+LEAST = 0.05
+# Nuisances are for small things: what would need more of them than this many standard deviations is something else.
+WITHIN = 4.0
+# A converter takes its channels one after another, within about a sample: one standard deviation, in samples. What is
+# late by more is looked for as a delay of whole samples, see `delays`.
+SKEW = 0.25
+# An ambient that was not recorded is a room's.
+AMBIENT_SD_K = 10.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the parameters being fitted: centre and standard deviation, and what is possible."""
+
+    centre: Mapping[str, float]
+    sd: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The parameters being fitted."""
+        return tuple(self.sd)
+
+    def joined(self, other: "Prior") -> "Prior":
+        """Both."""
+        return Prior(
+            {**self.centre, **other.centre}, {**self.sd, **other.sd}, {**self.bounds, **other.bounds}
+        )
+
+    def only(self, keys: Sequence[str]) -> "Prior":
+        """Of some parameters."""
+        return Prior(
+            {key: self.centre[key] for key in keys},
+            {key: self.sd[key] for key in keys},
+            {key: self.bounds[key] for key in keys},
+        )
+
+    def penalty(self, values: Mapping[str, float]) -> float:
+        """Squared distance of values from the centre, in standard deviations."""
+        return sum(((values[key] - self.centre[key]) / width) ** 2 for key, width in self.sd.items())
+
+
+NOTHING = Prior({}, {}, {})
+
+
+def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
+    """All that may be fitted: the textbook's parameters, those of effects and sensors, the nuisances of each run."""
+    prior = textbook_prior(file)
+    for part in parts_of(file):
+        prior = prior.joined(part_prior(file, part.name()))
+    return prior.joined(nuisance_prior(file, runs))
+
+
+def textbook_prior(file: MotorFile) -> Prior:
+    """The textbook's parameters that are not known exactly."""
+    values, prior = file.values(), NOTHING
+    for key, relative in RELATIVE_SD.items():
+        meaning, known = file.meaning(key), file.knowledge.get(key, Knowledge())
+        if known.sd == 0:
+            continue
+        size = max(abs(values[key]), 0.1 * meaning.typical(file.rated))
+        stated = known.sd is not None and not known.source.startswith(FITTED)
+        width = known.sd if stated and known.sd is not None else relative * size
+        bounds = (max(meaning.bounds[0], LEAST * values[key]), meaning.bounds[1])
+        prior = prior.joined(Prior({key: values[key]}, {key: width}, {key: bounds}))
+    return prior
+
+
+def part_prior(file: MotorFile, name: str) -> Prior:
+    """The free parameters of an effect or a sensor model of the file: wide around their value, within their bounds."""
+    part = next(part for part in parts_of(file) if part.name() == name)
+    prior = NOTHING
+    for parameter, meaning in part.parameters().items():
+        key = f"{name}.{parameter}"
+        known = file.knowledge.get(key, Knowledge())
+        if meaning.fixed or known.sd == 0:
+            continue
+        typical = meaning.typical(file.rated)
+        # The switch is free; a shape is known within a factor of a few.
+        if meaning.null is not None:
+            centre, width = meaning.null, 30 * abs(typical)
+        else:
+            centre = getattr(part, parameter)
+            width = max(abs(centre), meaning.sd(file.rated))
+        if known.sd is not None and not known.source.startswith(FITTED):
+            centre, width = getattr(part, parameter), known.sd
+        prior = prior.joined(Prior({key: centre}, {key: width}, {key: meaning.bounds}))
+    return prior
+
+
+def nuisance_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
+    """What each run has of its own: its start, an ambient that was not recorded, a skew between its channels."""
+    prior = NOTHING
+    for r, run in enumerate(runs):
+        for name, width in nuisance_sd(file, run).items():
+            prior = prior.joined(around(f"{name}@{r}", first_guess(run, name), width))
+    return prior
+
+
+def start_prior(model: Model, name: str) -> Prior:
+    """How warm the parts that an effect of the model brings were at the start of each run."""
+    effect = model.file.motor.effect(name)
+    prior = NOTHING
+    for state in effect.states if effect else ():
+        for r, own in enumerate(model.own):
+            key = f"initial.{state}"
+            if key in own:
+                width = _warmth_sd(model.file, own["initial.theta"])
+                prior = prior.joined(around(f"{key}@{r}", own[key], width))
+    return prior
+
+
+def around(key: str, middle: float, width: float) -> Prior:
+    """A nuisance that is small beside `WITHIN` standard deviations."""
+    return Prior({key: middle}, {key: width}, {key: (middle - WITHIN * width, middle + WITHIN * width)})
+
+
+def first_guess(run: Run, name: str) -> float:
+    """Where a nuisance of a run starts."""
+    state = name.removeprefix("initial.")
+    if is_rise(state):
+        return SETTLED * run.start["theta"]
+    return run.start[state] if name.startswith("initial.") else 0.0
+
+
+def nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
+    """The nuisances of a run and how large they may be."""
+    rated = file.rated
+    own = {"initial.theta": 0.3 * rated.rise_K, "initial.i": 0.3 * rated.current_A}
+    if "current" not in run.channels:
+        own["initial.i"] += abs(run.start["i"])
+    own["initial.w"] = (0.02 if "speed" in run.channels else 0.1) * rated.speed_rad_s
+    if "temperature" not in run.channels:
+        # Without a current either, how warm the winding is cannot be told from R_a0, and is left to it.
+        own["initial.theta"] = (0.5 if "current" in run.channels else 0.03) * rated.rise_K
+    for effect in file.motor.effects:
+        warm = _warmth_sd(file, run.start["theta"])
+        own |= {f"initial.{state}": warm for state in effect.states if is_rise(state)}
+    if "ambient" not in run.known and "temperature" in run.channels:
+        own["ambient"] = AMBIENT_SD_K
+    for k, channel in enumerate(run.channels):
+        if channel != "temperature":
+            own[f"skew.{channel}"] = SKEW * run.period_s
+            # A motor that is switched on with its first sample is elsewhere at the third.
+            key = f"initial.{STATE_OF[channel]}"
+            own[key] = float(np.hypot(own[key], np.ptp(run.measured[:FIRST, k])))
+    return own
+
+
+def _warmth_sd(file: MotorFile, rise_K: float) -> float:
+    return 0.3 * abs(rise_K) + 0.02 * file.rated.rise_K

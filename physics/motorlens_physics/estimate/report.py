@@ -1,0 +1,115 @@
+"""What a fit found, in words that are the same in every command.
+
+Four things can be wrong with a parameter although a number comes out: the recordings do not tell it, they tell it only
+together with another, it ends at the edge of what is possible, or it is far from what the motor file says.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.fit import Fit
+
+Array = NDArray[np.float64]
+
+# A parameter of which more than this share of its prior deviation is left is not told: the recordings hold less than a
+# quarter (1 / 0.9^2 - 1) of what was known of it before.
+UNTOLD = 0.9
+# Parameters more correlated than this are known only together: each alone is seven times less certain than given the other.
+CONFOUNDED = 0.99
+# What lies this many deviations from the motor file contradicts it: one in two million would by chance.
+FAR = 5.0
+# Closer to a bound than this share of the deviation is at it.
+AT_BOUND = 0.01
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a fit says of the parameters of the motor file, effects and sensors included.
+
+    Attributes:
+        keys: of the parameters that were free.
+        value: as fitted; of what is not told, the prior's.
+        sd: standard deviations, never above the prior's.
+        untold: key to a sentence: the recordings do not tell it, it stays what it was.
+        confounded: sentences on pairs that are told only together.
+        at_bound: key to a sentence: it ends at the edge of what is possible.
+        far: key to a sentence: it is `FAR` or more deviations from the motor file.
+    """
+
+    keys: tuple[str, ...]
+    value: Mapping[str, float]
+    sd: Mapping[str, float]
+    untold: Mapping[str, str]
+    confounded: tuple[str, ...]
+    at_bound: Mapping[str, str]
+    far: Mapping[str, str]
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Keys of what the recordings tell."""
+        return tuple(key for key in self.keys if key not in self.untold)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All that is to be said."""
+        return (*self.untold.values(), *self.confounded, *self.at_bound.values(), *self.far.values())
+
+
+def findings(fit: Fit) -> Findings:
+    """Judge a fit's parameters; nuisances of single recordings are not the motor's and are left out."""
+    prior, file = fit.prior, fit.model.file
+    keys = tuple(key for key in prior.keys if "@" not in key)
+    fitted, deviation = fit.model.values(), fit.sd()
+    value: dict[str, float] = {}
+    sd: dict[str, float] = {}
+    untold: dict[str, str] = {}
+    at_bound: dict[str, str] = {}
+    far: dict[str, str] = {}
+    for key in keys:
+        centre, width, unit = prior.centre[key], prior.sd[key], file.meaning(key).unit
+        unit = "" if unit == "1" else f" {unit}"
+        value[key], sd[key] = fitted[key], min(deviation[key], width)
+        left = sd[key] / width
+        if left > UNTOLD:
+            value[key], sd[key] = centre, width
+            untold[key] = (
+                f"{key}: these recordings do not tell it ({left:.0%} of its prior deviation is left); "
+                f"it stays at {centre:.4g}{unit}"
+            )
+            continue
+        for bound in prior.bounds[key]:
+            if abs(value[key] - bound) <= AT_BOUND * sd[key]:
+                at_bound[key] = (
+                    f"{key}: ends at {bound:.4g}{unit}, the edge of what is possible; something else is wrong, "
+                    "or missing from the model"
+                )
+        # What the recordings add to the prior moves its centre by as much as its variance shrinks.
+        expected = np.sqrt(max(width**2 - sd[key] ** 2, 0.0))
+        beyond = abs(value[key] - centre) / expected
+        if beyond >= FAR:
+            far[key] = (
+                f"{key}: {value[key]:.4g}{unit} is {beyond:.0f} standard deviations from the motor file's "
+                f"{centre:.4g} +- {width:.2g}{unit}; one of the two is wrong"
+            )
+    return Findings(keys, value, sd, untold, _confounded(fit, keys, untold), at_bound, far)
+
+
+def correlation(fit: Fit, keys: tuple[str, ...]) -> Array:
+    """(k, k) of some of the parameters fitted."""
+    at = [fit.prior.keys.index(key) for key in keys]
+    covariance = fit.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
+    return np.asarray(covariance / np.outer(size, size))
+
+
+def _confounded(fit: Fit, keys: tuple[str, ...], untold: Mapping[str, str]) -> tuple[str, ...]:
+    table = correlation(fit, keys)
+    return tuple(
+        f"{a} and {b}: these recordings tell them only together (correlation {table[j, k]:+.3f})"
+        for j, a in enumerate(keys)
+        for k, b in enumerate(keys)
+        if j < k and a not in untold and b not in untold and abs(table[j, k]) > CONFOUNDED
+    )

@@ -1,0 +1,154 @@
+"""Innovations, smoothed disturbances and scores against dense covariance matrices; noise levels against what was put in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations
+from motorlens_physics.estimate.model import sensitivities_of
+from motorlens_physics.estimate.noise import first_noise, likelier
+from motorlens_physics.estimate.run import prepare
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
+from motorlens_physics.recording import Recording
+from motorlens_physics.simulation import Inputs, simulate
+
+SAMPLES, STATES, CHANNELS = 12, 3, 2
+PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
+
+
+@pytest.fixture(scope="module")
+def space() -> StateSpace:
+    """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start."""
+    rng = np.random.default_rng(0)
+    keeps = np.zeros((SAMPLES - 1, 3))
+    keeps[:, 2] = 0.9
+    noise = np.abs(rng.standard_normal((SAMPLES, CHANNELS))) + 0.1
+    noise[4, 1] = np.inf
+    return StateSpace(
+        0.4 * rng.standard_normal((SAMPLES - 1, STATES, 3 * STATES)), np.array([0, 1]), np.array([0, 1, 1]),
+        np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise, np.array([0.2, 0.0, 0.0]),
+    )  # fmt: skip
+
+
+def response(space: StateSpace, start: np.ndarray, forcing: np.ndarray) -> np.ndarray:
+    """(N * C,) what the channels show of a start (n,) and disturbances (N, D): written out sample by sample."""
+    x, shown = np.asarray(start, dtype=np.float64), []
+    for k in range(SAMPLES):
+        shown.append(x[space.shows])
+        if k + 1 < SAMPLES:
+            phi, now, then = np.split(space.matrices[k], 3, axis=1)
+            first, last = np.zeros(STATES), np.zeros(STATES)
+            for d, balance in enumerate(space.balances):
+                first[balance] += forcing[k, d]
+                last[balance] += forcing[k if space.holds[d] else k + 1, d]
+            x = phi @ x + now @ first + then @ last
+    return np.concatenate(shown)
+
+
+class Dense:
+    """The covariance of all samples at once."""
+
+    def __init__(self, space: StateSpace) -> None:
+        sensors = space.noise.ravel()
+        self.use = np.isfinite(sensors)
+        self.news: list[tuple[int, int, float, np.ndarray]] = []
+        self.parts = []
+        for d in range(3):
+            part = np.zeros((SAMPLES * CHANNELS,) * 2)
+            for k in range(SAMPLES):
+                forcing = np.zeros((SAMPLES, 3))
+                forcing[k:, d] = np.cumprod(np.concatenate([[1.0], space.keeps[k:, d]]))
+                seen = response(space, np.zeros(STATES), forcing)
+                fresh = space.variance[d] * (1 - space.keeps[k - 1, d] ** 2 if k else 1.0)
+                part += fresh * np.outer(seen, seen)
+                self.news.append((k, d, fresh, seen[self.use]))
+            self.parts.append(part[np.ix_(self.use, self.use)])
+        start = response(space, np.array([1.0, 0.0, 0.0]), np.zeros((SAMPLES, 3)))[self.use]
+        self.whole = sum(self.parts) + space.start[0] * np.outer(start, start) + np.diag(sensors[self.use])
+        self.inverse = np.linalg.inv(self.whole)
+
+
+def test_whitened_products_and_the_determinant_are_those_of_the_covariance(space: StateSpace) -> None:
+    dense, y = Dense(space), np.random.default_rng(1).standard_normal((SAMPLES, CHANNELS, 2))
+    filtered = innovations(space, y)
+    white, plain = filtered.white.reshape(-1, 2), y.reshape(-1, 2)[dense.use]
+    np.testing.assert_allclose(white.T @ white, plain.T @ dense.inverse @ plain, rtol=1e-10)
+    scale = filtered.scale.ravel()[dense.use]
+    assert 2 * np.log(scale).sum() == pytest.approx(np.linalg.slogdet(dense.whole)[1], rel=1e-12)
+
+
+def test_smoothed_disturbances_are_their_conditional_means(space: StateSpace) -> None:
+    dense, y = Dense(space), np.random.default_rng(2).standard_normal((SAMPLES, CHANNELS, 1))
+    seen = disturbances(space, innovations(space, y))[0]
+    expected, plain = np.zeros((SAMPLES, 3)), y.ravel()[dense.use]
+    for k, d, fresh, shown in dense.news:
+        expected[k, d] = fresh * shown @ dense.inverse @ plain
+    np.testing.assert_allclose(seen, expected, atol=1e-12)
+
+
+def test_scores_are_the_slopes_of_the_likelihood(space: StateSpace) -> None:
+    dense, y = Dense(space), np.random.default_rng(3).standard_normal((SAMPLES, CHANNELS, 1))
+    _, of_inputs, of_channels = disturbances(space, innovations(space, y))
+    weighted = dense.inverse @ y.ravel()[dense.use]
+    for d, part in enumerate(dense.parts):
+        slope = part / space.variance[d]
+        assert of_inputs[:, d] == pytest.approx(
+            [weighted @ slope @ weighted, np.trace(dense.inverse @ slope)], rel=1e-10
+        )
+    for c in range(CHANNELS):
+        mine = (np.arange(SAMPLES * CHANNELS) % CHANNELS == c)[dense.use]
+        assert of_channels[:, c] == pytest.approx(
+            [weighted[mine] @ weighted[mine], np.trace(dense.inverse[np.ix_(mine, mine)])], rel=1e-10
+        )
+
+
+def noisy(held: bool, size: float, *, dithered: bool = False) -> tuple[Recording, MotorFile]:
+    """Steps of voltage and load, measured with noise; `dithered`: the noise on the voltage was truly applied."""
+    rng = np.random.default_rng(4)
+    rows = 4000
+    time = np.arange(rows) * 1e-3
+    volts = np.repeat(rng.uniform(-200.0, 200.0, rows // 250), 250)
+    load = np.repeat(rng.uniform(0.0, 6.0, rows // 250), 250) * np.sign(volts)
+    on_volts, on_load = 0.48 * size * rng.standard_normal(rows), 0.013 * size * rng.standard_normal(rows)
+    applied = volts + on_volts * dithered
+    truth = simulate(Motor(), Inputs(time, applied, load, np.full(rows, 20.0), held=held))
+    shown = {
+        "voltage": volts + on_volts,
+        "load_torque": load + on_load,
+        "current": truth.current_A + 0.015 * size * rng.standard_normal(rows),
+        "speed": truth.speed_rad_s + 0.44 * size * rng.standard_normal(rows),
+    }
+    return Recording("noisy", time, shown), MotorFile("plate", Motor(), PLATE)
+
+
+def levels(held: bool, size: float, *, dithered: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations found at the true motor: of current and speed; of voltage, load and the slow torque."""
+    recording, file = noisy(held, size, dithered=dithered)
+    run = prepare(recording, file).holding((held, held, held))
+    run = replace(run, start={"i": 0.0, "w": 0.0, "theta": 0.0})
+    model = replace(start_model(file, [run]), held=((held, held, held),))
+    _, shown, _, linear = sensitivities_of(model, run, 0, ())
+    error = run.measured - shown
+    noise = first_noise(run, error, PLATE.torque_Nm)
+    found, _ = likelier(noise, run, linear, error, run.there, 60)
+    return np.sqrt(found.channels), np.sqrt(found.disturbances)
+
+
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("size", [0.2, 1.0, 5.0])
+def test_noise_levels_are_found(held: bool, size: float) -> None:
+    sensors, inputs = levels(held, size)
+    assert sensors == pytest.approx(size * np.array([0.015, 0.44]), rel=0.06)
+    assert inputs[0] == pytest.approx(0.48 * size, rel=0.12)
+    # What reaches the speed of a load's noise at 1 kHz is small beside the speed sensor's: it is bounded, not measured.
+    assert inputs[1] < 1.3 * 0.013 * size
+
+
+def test_a_dither_that_was_truly_applied_is_no_noise() -> None:
+    sensors, inputs = levels(True, 1.0, dithered=True)
+    assert sensors == pytest.approx([0.015, 0.44], rel=0.06)
+    assert inputs[0] < 0.1 * 0.48
