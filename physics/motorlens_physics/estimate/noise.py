@@ -34,7 +34,7 @@ STRETCH, STRETCHES = 1024, 6
 # Variances have settled when an update changes them by less than this share; disturbances are followed down to this
 # share of their largest.
 ENOUGH, SMALLEST = 0.005, 1e-8
-# Variances are believed down to this share of the channel's mean square: some three times the integration's own error, squared.
+# Variances are believed down to this share of the channel's mean square: ten times the integration's own error, squared.
 LEAST = 1e-9
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
