@@ -1,8 +1,8 @@
 """What the commands are given that hold a motor file against recordings: the same flags, read the same way."""
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from motorlens_runtime.errors import DataError
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from motorlens_physics.effect import Effect
     from motorlens_physics.motor_file import MotorFile
     from motorlens_physics.recording import Recording
+
+Spans = Mapping[str, tuple[float, float]]
 
 
 def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = True) -> None:
@@ -34,6 +36,10 @@ def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = 
     parser.add_argument(
         "--no-value", action="append", metavar="NUMBER",
         help="a number that stands for a missing value, as in --no-value=-9999; 'none' looks for none (default: found)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--range", action="append", default=[], metavar="[REC=]FROM:TO",
+        help="use only this part, in seconds since the first sample; of that recording, or of all: --range 2:8.5",
     )  # fmt: skip
     parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
 
@@ -60,15 +66,18 @@ class CommandInputs:
     no_values: tuple[float, ...] | None
     terminal: str | None = None
     shaft: str | None = None
+    spans: Spans = field(default_factory=dict)
 
     def recordings(self, paths: Sequence[str]) -> "list[Recording]":
         """Read recordings. Raises DataError and OSError, see `recording.read_recording`."""
+        from motorlens_physics.ranges import within
         from motorlens_physics.recording import read_recording, under
 
-        return [
-            under(read_recording(path, self.columns, self.no_values), self.terminal, self.shaft)
-            for path in paths
-        ]
+        found = []
+        for path in paths:
+            whole = under(read_recording(path, self.columns, self.no_values), self.terminal, self.shaft)
+            found.append(within(whole, path, self.spans))
+        return found
 
 
 def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) -> CommandInputs:
@@ -79,14 +88,16 @@ def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) 
     """
     from motorlens_physics.effect import load_effects
     from motorlens_physics.motor_file import read_motor_file, voltage_commanded
+    from motorlens_physics.ranges import parse_ranges
 
     own = tuple(load_effects(arguments.effects_from).values()) if arguments.effects_from else ()
     file = file or read_motor_file(arguments.motor, own)
     if arguments.voltage_commanded:
         file = voltage_commanded(file)
+    named = [name for kind in ("recordings", "fit", "judge") for name in getattr(arguments, kind, None) or ()]
     return CommandInputs(
-        file, own, tuple(arguments.column), _no_values(arguments.no_value), 
-        getattr(arguments, "terminal", None), getattr(arguments, "shaft", None),
+        file, own, tuple(arguments.column), _no_values(arguments.no_value),
+        getattr(arguments, "terminal", None), getattr(arguments, "shaft", None), parse_ranges(arguments.range, named),
     )  # fmt: skip
 
 
@@ -98,6 +109,7 @@ def input_words(arguments: argparse.Namespace) -> list[str]:
     words += [f"--no-value={number}" for number in arguments.no_value or ()]
     for flag in ("terminal", "shaft"):
         words += [f"--{flag}", getattr(arguments, flag)] if getattr(arguments, flag, None) else []
+    words += [word for span in arguments.range for word in ("--range", span)]
     return words + (["--effects-from", arguments.effects_from] if arguments.effects_from else [])
 
 

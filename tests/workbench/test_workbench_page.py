@@ -8,6 +8,7 @@ import shlex
 import signal
 import urllib.request
 from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
 from helpers.processes import MOTORLENS, Program, eventually
@@ -17,11 +18,19 @@ from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.web.loopback import LoopbackServer
 from motorlens_workbench.web.serve import WorkbenchPage
-from motorlens_workbench.web.session import Order, Session, words_of
+from motorlens_workbench.web.session import Session
 from motorlens_workbench.web.shelf import Shelf
+from motorlens_workbench.web.step import Choice, Order, words_of
 
 MOTOR = (Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml").read_text(encoding="utf-8")
 TAU_C = 0.4
+
+
+class Effects:
+    """In place of the catalogue, which a process of its own reads."""
+
+    def entries(self):
+        return [{"name": "coulomb_friction", "equation": "mechanical", "summary": "", "equations": []}]
 
 
 class Browser:
@@ -31,10 +40,7 @@ class Browser:
         self.results = folder / "results"
         self.results.mkdir()
         self.session = Session(Shelf(named, "."), self.results)
-        page = WorkbenchPage(
-            self.session, {"motor": "motor.toml", "recordings": [], "columns": []}, ["coulomb_friction"]
-        )
-        self.server = LoopbackServer(page.answer)
+        self.server = LoopbackServer(WorkbenchPage(self.session, Effects()).answer)
 
     def ask(self, path, document=None, **headers):
         connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
@@ -50,6 +56,25 @@ class Browser:
         self.headers = dict(reply.getheaders())
         connection.close()
         return found
+
+    def send(self, name, content, piece=1 << 20, **query):
+        """A file, in pieces, as the page sends it; returns the last answer."""
+        for offset in range(0, max(len(content), 1), piece):
+            fields = {"name": name, "offset": offset, "size": len(content), **query}
+            connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
+            headers = {
+                "Authorization": f"Bearer {self.server.token}",
+                "Content-Type": "application/octet-stream",
+            }
+            connection.request(
+                "POST", f"/upload?{urlencode(fields)}", content[offset : offset + piece], headers
+            )
+            reply = connection.getresponse()
+            answer = {"status": reply.status, **json.loads(reply.read())}
+            connection.close()
+            if answer["status"] != 200:
+                break
+        return answer
 
     def json(self, path, document=None):
         status, body = self.ask(path, document)
@@ -158,7 +183,7 @@ def test_a_step_can_be_cancelled_and_leaves_nothing(bench):
     assert bench.json("/cancel", {})["status"] == 200
     state = bench.json("/state")["steps"]
     assert [(step["state"], step["sentence"]) for step in state] == [("cancelled", "Cancelled.")]
-    assert process.poll() is not None and not list(bench.results.iterdir())
+    assert process.poll() is not None and not list((bench.results / "results").iterdir())
     assert bench.ask("/results/1.json")[0] == 404
     assert bench.json("/cancel", {})["status"] == 200  # nothing runs: nothing happens
 
@@ -203,12 +228,16 @@ def test_what_the_page_may_not_do_is_said(bench):
 
 def test_only_its_own_pages_and_only_with_the_key(bench):
     Path("secret.html").write_text("secret")
-    for path in ("/", "/page.js", "/draw.js", "/page.css", "/style.css", "/state", "/choice"):
+    for path in ("/", "/page.js", "/files.js", "/results.js", "/plots.js", "/page.css", "/report.css", "/style.css",
+                 "/state", "/choice", "/effects"):  # fmt: skip
         assert bench.ask(path)[0] == 200
         assert bench.ask(path, Authorization="Bearer wrong")[0] == 403
-        assert b"http" not in bench.ask(path)[1]  # nothing from elsewhere: it works without a network
+        # Nothing from elsewhere: it works without a network. (The name of SVG is no address.)
+        assert b"http" not in bench.ask(path)[1].replace(b"http://www.w3.org/2000/svg", b"")
     for path in ("/serve.py", "/../serve.py", "/results/1.html", "/results/../secret.html", "/results/..%2fsecret.html",
-                 "/results/secret.html", "/results//etc/passwd", "/motor.toml"):  # fmt: skip
+                 "/results/secret.html", "/results//etc/passwd", "/motor.toml", "/file?name=secret.html",
+                 "/file?name=../x.csv",
+                 "/file?name=/etc/passwd", "/file"):  # fmt: skip
         status, body = bench.ask(path)
         assert status == 404 and b"secret" not in body, path
     assert bench.ask("/steps", {}, Authorization="")[0] == 403
@@ -263,24 +292,108 @@ def test_a_command_is_complete(tmp_path, monkeypatch):
     for name in ("a b.csv", "c.csv"):
         Path(name).touch()
     order = Order(
-        "add", "./-motor.toml", ("a b.csv",), ("speed=w rad/s",), ("c.csv",), "radiation", "new.toml", True
-    )
+        "./-motor.toml", ("a b.csv",), ("c.csv",), ("speed=w rad/s",), ("a b.csv=2:8.5", "other.csv=1:2"), "add",
+        "radiation", "new.toml", True,
+    )  # fmt: skip
     assert words_of(order, Shelf((), "."), "own.py") == (
         "add", "radiation", "--motor", "./-motor.toml", "--fit", "a b.csv", "--judge", "c.csv", "--force", "-o", "new.toml",
-        "--column", "speed=w rad/s", "--effects-from", "own.py",
+        "--column", "speed=w rad/s", "--range", "a b.csv=2:8.5", "--effects-from", "own.py",
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [(["nowhere.csv"], "nowhere.csv: there is no such file"),
-     (["notes.txt"], "notes.txt: recordings end in .csv, .csv.gz, .parquet"),
+     (["notes.md"], "notes.md: recordings end in .csv, .csv.gz"),
      (["--folder", "nowhere"], "--folder nowhere: there is no such folder"),
-     (["--motor", "notes.txt"], "notes.txt: is none of the motor files here")],
+     (["--motor", "notes.md"], "notes.md: is none of the motor files here")],
 )  # fmt: skip
 def test_a_mistake_gets_one_line(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
-    Path("notes.txt").touch()
+    Path("notes.md").touch()
     assert main(["workbench", "--no-browser", *arguments]) == 1
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1 and error.startswith("motorlens workbench: ")
+
+
+def test_columns_belong_to_their_recording(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("motor.toml").write_text(MOTOR, encoding="utf-8")
+    for name in ("a.csv", "b.csv"):
+        Path(name).touch()
+    shelf = Shelf((), ".")
+    columns = ("a.csv::speed_rpm=n [1/min]", "current=i")
+    words = words_of(Order("motor.toml", ("a.csv",), columns=columns, kind="compare"), shelf)
+    assert words[-4:] == ("--column", "speed_rpm=n [1/min]", "--column", "current=i")
+    assert words_of(Order("", ("b.csv",), columns=columns, kind="look"), shelf) == (
+        "look",
+        "b.csv",
+        "--column",
+        "current=i",
+    )
+    with pytest.raises(
+        DataError, match=r"a\.csv and b\.csv name their columns differently.*b\.csv\.columns\.toml"
+    ):
+        words_of(Order("motor.toml", ("a.csv", "b.csv"), columns=columns, kind="compare"), shelf)
+
+
+def test_files_are_sent_in_pieces_within_bounds_and_over_nothing(bench, monkeypatch):
+    content = bytes(range(256)) * 10
+    assert bench.send("run 1.csv", content, piece=1000)["path"] == "results/files/run 1.csv"
+    assert Path("results/files/run 1.csv").read_bytes() == content
+    assert bench.send("run 1.csv", b"x")["path"] == "results/files/run 1_2.csv"  # what is there stays
+    assert bench.ask("/file?name=results/files/run%201.csv") == (200, content)
+    assert bench.json("/choice")["recordings"] == ["results/files/run 1.csv", "results/files/run 1_2.csv"]
+    assert bench.send("m.toml", MOTOR.encode())["path"] == "results/files/m.toml"
+    for name, sent, said in (
+        ("../up.csv", b"x", "plain file name"),
+        (".hidden.csv", b"x", "plain file name"),
+        ("a/b.csv", b"x", "plain file name"),
+        ("-x.csv", b"x", "plain file name"),
+        ("page.html", b"x", "ends in one of"),
+        ("other.toml", b"[project]", "no motor file"),
+        ("empty.csv", b"", "not empty"),
+    ):
+        answer = bench.send(name, sent)
+        assert answer["status"] == 400 and said in answer["error"], name
+    assert "up to 1074 MB" in bench.send("big.csv", b"x", size=1 << 40)["error"]
+    assert "piece is missing" in bench.send("gap.csv", b"x", offset=5, size=10)["error"]
+    assert "piece is missing" in bench.send("more.csv", b"xyz", size=2)["error"]
+    assert sorted(path.name for path in Path("results/files").iterdir()) == [
+        "m.toml",
+        "run 1.csv",
+        "run 1_2.csv",
+    ]
+    # A body that is neither JSON nor octets, and one without the key.
+    assert bench.ask("/upload?name=a.csv&offset=0&size=2", {}, **{"Content-Type": "text/csv"})[0] == 415
+    assert bench.ask("/upload?name=a.csv&offset=0&size=2", {}, Authorization="")[0] == 403
+
+
+def test_a_session_outlives_the_workbench(bench, tmp_path):
+    rows = "".join(f"{k / 100},{k % 7},{k % 5},{k % 3}\n" for k in range(200))
+    Path("odd.csv").write_text("time_s,u_mot,current_A,speed_rad_s\n" + rows)
+    choice = {
+        "motor": "motor.toml",
+        "recordings": ["odd.csv"],
+        "columns": ["odd.csv::voltage_V=u_mot"],
+        "ranges": [],
+    }
+    bench.json("/choice", choice)
+    failed, _ = bench.take(kind="look", recordings=["odd.csv"])
+    assert failed["state"] == "failed" and "no voltage column" in failed["sentence"]
+    # What cannot be read so shows its columns all the same.
+    headings = [column["heading"] for column in bench.json("/results/1.json")["columns"]]
+    assert headings == ["time_s", "u_mot", "current_A", "speed_rad_s"]
+    step, found = bench.take(kind="look", **{key: choice[key] for key in ("recordings", "columns")})
+    assert step["command"] == "motorlens look odd.csv --column voltage_V=u_mot" and found["rows"] == 200
+    bench.json("/choice", choice)
+    again = Session(Shelf((), "."), bench.results)
+    assert again.choice == Choice("motor.toml", ("odd.csv",), (), ("odd.csv::voltage_V=u_mot",))
+    assert [(s.number, s.state, s.command) for s in again.steps] == [
+        (1, "failed", "motorlens look odd.csv"),
+        (2, "done", step["command"]),
+    ]
+    assert again.steps[1].result == {k: v for k, v in found.items() if k != "status"}
+    Path("results/session.json").write_text("{}")
+    with pytest.raises(DataError, match=r"session\.json: is no session.*move it away"):
+        Session(Shelf((), "."), bench.results)

@@ -101,6 +101,15 @@ class Column:
         return numbers * self.factor + self.offset
 
 
+def units_offered(quantity: str) -> tuple[str, ...]:
+    """Spellings of units that a quantity is often recorded in, the canonical one first.
+
+    >>> units_offered("speed")
+    ('rad/s', 'rpm', 'deg/s', 'rev/s', 'Hz')
+    """
+    return tuple(_OFFERED[QUANTITIES[quantity][0]].split(", "))
+
+
 def canonical_name(quantity: str) -> str:
     """`quantity_unit` in SI; temperatures in degrees Celsius; a quantity in words is its name alone."""
     return f"{quantity}_{QUANTITIES[quantity][0]}".removesuffix("_")

@@ -3,7 +3,7 @@
 Any program on the machine and any web site in the browser can send requests to 127.0.0.1. So the address that is opened
 holds a random token, which becomes a cookie that other sites' requests do not carry (SameSite); programs may send it as
 `Authorization: Bearer`. The Host header must be this server's own (a site may point its name at 127.0.0.1), and a
-POST must come from a page of this server and be JSON.
+POST must come from a page of this server and be JSON or octets.
 
 Cookies do not know ports: a browser shows ours to every server on 127.0.0.1 that it visits. So the cookie is not the token,
 and counts only in a request of which the browser says that a page of this very server, or the user, has made it
@@ -41,7 +41,7 @@ _STATUS_WORDS = {
     404: "there is no such page",
     405: "GET and POST only",
     413: "too long",
-    415: "JSON only",
+    415: "JSON or octets only",
     500: "the server has made a mistake; its terminal says where",
 }
 
@@ -72,6 +72,8 @@ def refusal(status: int, text: str = "") -> Answer:
     return Answer((text or _STATUS_WORDS[status]).encode() + b"\n", "text/plain; charset=utf-8", status)
 
 
+# What a POST may be: neither is what a form of another site can send without being asked for leave first.
+_KINDS = ("application/json", "application/octet-stream")
 # How long a browser may take to open the page.
 _TICKET_S = 300.0
 _TOO_LONG = b"HTTP/1.1 431 Request Header Fields Too Large\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
@@ -148,7 +150,7 @@ class _Guard:
             origin = headers.get("Origin")
             if origin is not None and origin not in [f"http://{host}" for host in self._hosts]:
                 return refusal(403)
-            if headers.get("Content-Type", "").partition(";")[0].strip() != "application/json":
+            if headers.get("Content-Type", "").partition(";")[0].strip() not in _KINDS:
                 return refusal(415)
         return None
 

@@ -23,6 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
     )
+    parser.add_argument(
+        "--session", metavar="DIR",
+        help="where steps, results and files sent by the page are kept, to go on another day (default: motorlens-session in "
+        "--folder or the current folder; '' keeps nothing)",
+    )  # fmt: skip
     parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
     parser.add_argument(
         "--port", type=int, default=0, metavar="PORT", help="of the page (default: a free one)"

@@ -80,9 +80,16 @@ class Scene {
     });
     // A report is not drawn for the screen it is printed on, nor for the light it was opened in.
     this.redraw = () => { palette = {}; this.plots.forEach(plot => plot.redraw(false, true)); };
-    for (const query of ["(prefers-color-scheme: dark)", "(forced-colors: active)"]) matchMedia(query).addEventListener("change", this.redraw);
+    this.queries = ["(prefers-color-scheme: dark)", "(forced-colors: active)"].map(query => matchMedia(query));
+    this.queries.forEach(query => query.addEventListener("change", this.redraw));
     this.size = new ResizeObserver(() => this.fit());
     places.forEach(([place]) => this.size.observe(place));
+  }
+
+  close() {
+    for (const query of this.queries) query.removeEventListener("change", this.redraw);
+    this.size.disconnect();
+    this.plots.forEach(plot => plot.destroy());
   }
 
   fit() {
@@ -232,7 +239,7 @@ class TimePlots {
     });
     put("span", bar, "s");
     press(bar, "Save CSV", "Save the samples in view as CSV", () => this.save());
-    if (this.scene.actions.range) press(bar, "Work on this range", "Use only this range of the recording in the next steps", () => this.scene.actions.range(this.spec.name, ...this.shown(), this.spec));
+    if (this.scene.actions.range) press(bar, "Work on this range", "Use only this range of the recording in the next steps", () => this.scene.actions.range(this.spec.name, ...this.shown()));
   }
 
   draw(spec, last) {

@@ -3,29 +3,37 @@
 import argparse
 import json
 import signal
+import subprocess
+import sys
 import tempfile
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from motorlens_physics.effect import catalogue, load_effects
-from motorlens_physics.sensor_model import sensor_models
 from motorlens_runtime.cli import write_json
 from motorlens_runtime.errors import DataError, MotorlensError
 from motorlens_runtime.web import asset
 from motorlens_runtime.web.browser import announce
 from motorlens_runtime.web.loopback import Answer, LoopbackServer, Request, refusal
-from motorlens_workbench.web.session import Busy, Session, Step, order_of
+from motorlens_workbench.web.session import Busy, Session
 from motorlens_workbench.web.shelf import RECORDINGS, Shelf
+from motorlens_workbench.web.step import Choice, choice_of, order_of, to_json
 
-_OWN = "motorlens_workbench.web"
+_OWN, _REPORT, _SHARED = "motorlens_workbench.web", "motorlens_workbench.report", "motorlens_runtime.web"
+_CSS, _JS = "text/css; charset=utf-8", "text/javascript; charset=utf-8"
 _FILES = {
     "/": (_OWN, "page.html", "text/html; charset=utf-8"),
-    "/page.js": (_OWN, "page.js", "text/javascript; charset=utf-8"),
-    "/draw.js": (_OWN, "draw.js", "text/javascript; charset=utf-8"),
-    "/page.css": (_OWN, "page.css", "text/css; charset=utf-8"),
-    "/style.css": ("motorlens_runtime.web", "style.css", "text/css; charset=utf-8"),
+    "/page.js": (_OWN, "page.js", _JS),
+    "/files.js": (_OWN, "files.js", _JS),
+    "/results.js": (_OWN, "results.js", _JS),
+    "/plots.js": (_REPORT, "plots.js", _JS),
+    "/uplot.js": (f"{_SHARED}.uplot", "uPlot.iife.min.js", _JS),
+    "/page.css": (_OWN, "page.css", _CSS),
+    "/report.css": (_REPORT, "report.css", _CSS),
+    "/uplot.css": (f"{_SHARED}.uplot", "uPlot.min.css", _CSS),
+    "/style.css": (_SHARED, "style.css", _CSS),
 }
 # A report brings its script along; in a sandbox it has no access to this server, whatever a recording's headings say.
 _REPORT_POLICY = (
@@ -39,12 +47,11 @@ class WorkbenchPage:
 
     Args:
         session: what it works on.
-        chosen: what is chosen at first: motor, recordings, columns.
-        effects: names of effects and sensor models that can be added.
+        effects: what can be added, see `Catalogue`.
     """
 
-    def __init__(self, session: Session, chosen: Mapping[str, Any], effects: list[str]) -> None:
-        self._session, self._chosen, self._effects = session, chosen, effects
+    def __init__(self, session: Session, effects: "Catalogue") -> None:
+        self._session, self._effects = session, effects
 
     def answer(self, request: Request) -> Answer:
         """What the server sends."""
@@ -57,71 +64,125 @@ class WorkbenchPage:
             return _json(self.state())
         if request.path == "/choice":
             return _json(self.choice())
+        if request.path == "/effects":
+            return _json({"effects": self._effects.entries()})
+        if request.path == "/file":
+            return self._file(request.query.get("name", ""))
         if request.path.startswith("/results/"):
             return self._result(request.path.removeprefix("/results/"))
         return refusal(404)
 
     def choice(self) -> dict[str, Any]:
-        """What can be chosen, and what is at first."""
+        """What can be chosen, and what is."""
         shelf = self._session.shelf
         return {
             "schema": "motorlens.workbench/1", "folder": shelf.folder, "recordings": shelf.recordings(),
             "motors": [{"name": entry.name, "parts": list(entry.parts)} for entry in shelf.motors()],
-            "effects": self._effects, "chosen": dict(self._chosen),
+            "chosen": vars(self._session.choice), "ends": list(RECORDINGS),
         }  # fmt: skip
 
     def state(self) -> dict[str, Any]:
         """All steps without their results, and what the one under way says."""
-        steps = [shown(step) for step in self._session.steps]
+        steps = [to_json(step) for step in self._session.steps]
         if steps and steps[-1]["state"] == "running":
             steps[-1]["seconds"] = round(self._session.seconds, 1)
         return {"steps": steps, "progress": list(self._session.progress)}
 
     def _post(self, request: Request) -> Answer:
         try:
+            if request.path == "/upload":
+                return self._upload(request)
             document = json.loads(request.body or b"{}")
         except (ValueError, RecursionError):
             return refusal(400)
+        except MotorlensError as error:
+            return _json({"error": str(error)}, 400)
         if not isinstance(document, dict):
             return refusal(400)
-        if request.path == "/cancel":
-            self._session.cancel()
-            return _json({})
-        if request.path != "/steps":
-            return refusal(404)
         try:
-            return _json(shown(self._session.take(order_of(document))))
+            if request.path == "/cancel":
+                self._session.cancel()
+                return _json({})
+            if request.path == "/choice":
+                self._session.choose(choice_of(document))
+                return _json({})
+            if request.path == "/steps":
+                return _json(to_json(self._session.take(order_of(document))))
         except Busy:
             return _json({"error": "a step is under way; wait for it or cancel it"}, 409)
         except MotorlensError as error:
             return _json({"error": str(error)}, 400)
+        return refusal(404)
+
+    def _upload(self, request: Request) -> Answer:
+        query = request.query
+        offset, size = int(query.get("offset", "")), int(query.get("size", ""))
+        path = self._session.uploads.take(query.get("name", ""), offset, size, request.body)
+        return _json({"received": offset + len(request.body), "path": path})
+
+    def _file(self, name: str) -> Answer:
+        try:
+            return Answer(self._session.shelf.path(name).read_bytes(), "application/octet-stream")
+        except (MotorlensError, OSError):
+            return refusal(404)
 
     def _result(self, name: str) -> Answer:
         number, _, kind = name.partition(".")
-        known = {str(step.number): step for step in self._session.steps if step.state == "done"}
+        known = {str(step.number): step for step in self._session.steps if step.state in ("done", "failed")}
         if number not in known or kind not in ("html", "json"):
             return refusal(404)
-        body = self._session.file(known[number].number, kind).read_bytes()
+        try:
+            body = self._session.file(known[number].number, kind).read_bytes()
+        except OSError:
+            return refusal(404)
         if kind == "json":
             return Answer(body)
         return Answer(body, "text/html; charset=utf-8", policy=_REPORT_POLICY)
 
 
-def shown(step: Step) -> dict[str, Any]:
-    """A step as the page sees it."""
-    return {
-        "number": step.number, "kind": step.order.kind, "motor": step.order.motor, "effect": step.order.effect,
-        "recordings": list(step.order.recordings), "judge": list(step.order.judge),
-        "columns": list(step.order.columns), "command": step.command, "state": step.state,
-        "sentence": step.sentence, "notes": list(step.notes), "written": step.written, "seconds": step.seconds,
-    }  # fmt: skip
+class Catalogue:
+    """What can be added, with equation and meaning: `motorlens effects` in a process of its own, as it loads much."""
+
+    def __init__(self, effects_from: str | None = None) -> None:
+        self._entries: list[dict[str, Any]] = []
+        more = ["--effects-from", effects_from] if effects_from else []
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "motorlens_runtime", "effects", "--json", "-", *more],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def entries(self, patience_s: float = 30.0) -> list[dict[str, Any]]:
+        """Name, equation, summary and equations of each."""
+        self._reader.join(patience_s)
+        return self._entries
+
+    def close(self) -> None:
+        """End the process, if it still runs."""
+        with suppress(OSError):
+            self._process.kill()
+        self._reader.join()
+
+    def _read(self) -> None:
+        output, _ = self._process.communicate()
+        with suppress(ValueError, KeyError, TypeError):
+            document = json.loads(output)
+            self._entries = [
+                {
+                    "name": entry["name"], "summary": entry["summary"], "equations": entry["equations"],
+                    "equation": entry.get("equation") or entry.get("channel", ""),
+                }
+                for entry in [*document["effects"], *document["sensors"]]
+                if not entry.get("simulation_only")
+            ]  # fmt: skip
 
 
 def serve(arguments: argparse.Namespace) -> int:
     """See `commands.workbench`. Runs until interrupted.
 
     Raises:
-        DataError: a file that was named is absent or of no known kind.
+        DataError: a file that was named is absent or of no known kind, or the session is none.
         DeviceError: the port is taken.
     """
     named = [*arguments.recordings, *([arguments.motor] if arguments.motor else [])]
@@ -136,14 +197,15 @@ def serve(arguments: argparse.Namespace) -> int:
     shelf = Shelf(tuple(named), arguments.folder)
     if arguments.motor:
         shelf.motor(arguments.motor)
-    own = load_effects(arguments.effects_from) if arguments.effects_from else {}
-    chosen = {
-        "motor": arguments.motor or "", "recordings": shelf.chosen(arguments.recordings), "columns": arguments.column,
-    }  # fmt: skip
-    with tempfile.TemporaryDirectory(prefix="motorlens-") as results:
-        session = Session(shelf, Path(results), arguments.effects_from)
-        page = WorkbenchPage(session, chosen, sorted({*catalogue(), *own, *sensor_models()}))
-        server = LoopbackServer(page.answer, arguments.port)
+    chosen = Choice(
+        arguments.motor or "", tuple(shelf.chosen(arguments.recordings)), (), tuple(arguments.column)
+    )
+    with tempfile.TemporaryDirectory(prefix="motorlens-") as passing:
+        kept = arguments.session or str(Path(arguments.folder or ".") / "motorlens-session")
+        folder = Path(passing) if arguments.session == "" else Path(kept)
+        session = Session(shelf, folder, arguments.effects_from, chosen)
+        catalogue = Catalogue(arguments.effects_from)
+        server = LoopbackServer(WorkbenchPage(session, catalogue).answer, arguments.port)
         # Before the address is told: who reads it may end the command at once.
         stopped = threading.Event()
         signal.signal(signal.SIGTERM, lambda number, frame: stopped.set())
@@ -155,7 +217,8 @@ def serve(arguments: argparse.Namespace) -> int:
         finally:
             session.cancel()
             server.close()
-        steps = [{**shown(step), "result": step.result} for step in session.steps]
+            catalogue.close()
+        steps = [{**to_json(step), "result": step.result} for step in session.steps]
         write_json({"schema": "motorlens.workbench/1", "steps": steps}, arguments.json)
     return 0
 

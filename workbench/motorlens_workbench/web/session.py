@@ -1,123 +1,63 @@
-"""A session at the workbench: which steps were taken, what came of each, and the command that repeats it."""
+"""A session at the workbench: which steps were taken, what came of each, the command that repeats it, and what is chosen."""
 
 import json
+import os
 import re
-import shlex
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.web.job import Job
 from motorlens_workbench.web.shelf import Shelf
+from motorlens_workbench.web.step import Choice, Order, Step, choice_of, step_of, to_json, words_of
+from motorlens_workbench.web.uploads import Uploads
 
-KINDS = ("compare", "diagnose", "add", "remove")
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
-_COLUMN = re.compile(r"\w+=.+")
+SCHEMA = "motorlens.session/1"
 
 
 class Busy(Exception):
     """A step is under way."""
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the page asks for; names are those of the shelf. From `judge` on, for add and remove."""
+class Session:
+    """Takes one step at a time, each as the command it stands for.
 
-    kind: str
-    motor: str
-    recordings: tuple[str, ...]
-    columns: tuple[str, ...] = ()
-    judge: tuple[str, ...] = ()
-    effect: str = ""
-    output: str = ""
-    force: bool = False
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step. `state` is running, done, failed or cancelled; `sentence` what came of it, or the error in one line."""
-
-    number: int
-    order: Order
-    words: tuple[str, ...]
-    state: str = "running"
-    sentence: str = ""
-    notes: tuple[str, ...] = ()
-    written: str | None = None
-    seconds: float = 0.0
-    result: Mapping[str, Any] | None = field(default=None, repr=False)
-
-    @property
-    def command(self) -> str:
-        """What to type to take this step again."""
-        return shlex.join(["motorlens", *self.words])
-
-
-def order_of(document: Mapping[str, Any]) -> Order:
-    """Read what a page sent. Raises DataError if it is not of the right form."""
-    try:
-        lists = {
-            name: tuple(map(_text, document.get(name, ()))) for name in ("recordings", "columns", "judge")
-        }
-        texts = {name: _text(document.get(name, "")) for name in ("kind", "motor", "effect", "output")}
-        return Order(**texts, **lists, force=document.get("force", False) is True)  # type: ignore[arg-type]
-    except TypeError:
-        raise DataError("the request is not of the form that the page sends") from None
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError
-    return value
-
-
-def words_of(order: Order, shelf: Shelf, effects_from: str | None = None) -> tuple[str, ...]:
-    """The command, without `motorlens`.
+    Args:
+        shelf: the files it may use.
+        folder: where it keeps itself: `session.json`, results, and what the page sends. Made with the first step or file;
+            a session that is there is continued.
+        effects_from: the user's own effects.
+        choice: what is chosen, if no session is there.
 
     Raises:
-        DataError: a file is not on the shelf, a name is no name, or something is not chosen.
+        DataError: what is there is no session.
     """
-    if order.kind not in KINDS:
-        raise DataError(f"{order.kind!r} is no step; there are {', '.join(KINDS)}")
-    motor = shelf.motor(order.motor)
-    recordings = shelf.chosen(order.recordings)
-    if not recordings:
-        raise DataError("no recording is chosen; choose at least one")
-    for column in order.columns:
-        if not _COLUMN.fullmatch(column):
-            raise DataError(f"{column}: write QUANTITY=NAME, for example speed=wL_rad_s")
-    more = [word for column in order.columns for word in ("--column", column)]
-    more += ["--effects-from", effects_from] if effects_from else []
-    if order.kind in ("compare", "diagnose"):
-        return (order.kind, *recordings, "--motor", motor.name, *more)
-    if not _NAME.fullmatch(order.effect):
-        raise DataError(f"{order.effect or 'no effect'}: choose an effect or sensor fault of the catalogue")
-    words = ["add", order.effect, "--motor", motor.name, "--fit", *recordings]
-    judge = shelf.chosen(order.judge)
-    words += ["--judge", *judge] if judge else []
-    words += ["--remove"] if order.kind == "remove" else []
-    words += ["--force"] if order.force and order.kind == "add" else []
-    return (*words, "-o", shelf.new_motor(order.output), *more)
 
-
-class Session:
-    """Takes one step at a time, each as the command it stands for; results lie in `folder`, which the caller owns."""
-
-    def __init__(self, shelf: Shelf, folder: Path, effects_from: str | None = None) -> None:
-        self.shelf = shelf
+    def __init__(
+        self, shelf: Shelf, folder: Path, effects_from: str | None = None, choice: Choice | None = None
+    ) -> None:
         self._folder, self._effects_from = folder, effects_from
+        self.shelf = replace(shelf, sent=str(folder / "files"))
+        self.uploads = Uploads(folder / "files")
         self._steps: list[Step] = []
+        self._choice = choice or Choice()
         self._job: Job | None = None
         self._lock = threading.Lock()
+        self._continue(choice)
 
     @property
     def steps(self) -> list[Step]:
         """All steps so far, the oldest first."""
         with self._lock:
             return list(self._steps)
+
+    @property
+    def choice(self) -> Choice:
+        """What is chosen."""
+        return self._choice
 
     @property
     def progress(self) -> Sequence[str]:
@@ -130,6 +70,13 @@ class Session:
         """How long the step under way has taken."""
         job = self._job
         return 0.0 if job is None else job.seconds
+
+    def choose(self, choice: Choice) -> None:
+        """Remember what is chosen."""
+        with self._lock:
+            self._choice = choice
+            if self._folder.exists():
+                self._save()
 
     def take(self, order: Order) -> Step:
         """Begin a step.
@@ -146,7 +93,11 @@ class Session:
             files = [
                 word for kind in ("json", "html") for word in (f"--{kind}", str(self.file(step.number, kind)))
             ]
+            (self._folder / "results").mkdir(parents=True, exist_ok=True, mode=0o700)
+            for kind in ("json", "html"):
+                self.file(step.number, kind).unlink(missing_ok=True)
             self._steps.append(step)
+            self._save()
             self._job = Job((*words, *files), lambda job: self._ended(step, job))
             return step
 
@@ -164,7 +115,54 @@ class Session:
 
     def file(self, number: int, kind: str) -> Path:
         """Where the page (`html`) or the document (`json`) of a step lies."""
-        return self._folder / f"{number}.{kind}"
+        return self._folder / "results" / f"{number}.{kind}"
+
+    def _continue(self, choice: Choice | None) -> None:
+        path = self._folder / "session.json"
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError) as error:
+            raise DataError(
+                f"{path}: cannot be continued: {error}; move it away, or name another with --session"
+            ) from None
+        try:
+            if document["schema"] != SCHEMA:
+                raise ValueError
+            steps = [step_of(entry) for entry in document["steps"]]
+            if choice is None or not choice.motor:
+                self._choice = choice_of(document["choice"])
+        except (KeyError, TypeError, ValueError, DataError):
+            raise DataError(
+                f"{path}: is no session of this version; move it away, or name another with --session"
+            ) from None
+        for step in steps:
+            if step.state == "running":  # when the workbench ended
+                step = replace(step, state="cancelled", sentence="Cancelled: the workbench was ended.")
+            self._steps.append(replace(step, result=self._result(step.number)))
+            if step.written is not None and Path(step.written).exists():
+                self.shelf = self.shelf.with_file(step.written)
+        for name in {
+            name for step in steps for name in (step.order.motor, *step.order.recordings, *step.order.judge)
+        }:
+            if Path(name).is_file():
+                self.shelf = self.shelf.with_file(name)
+
+    def _save(self) -> None:
+        document = {
+            "schema": SCHEMA, "choice": vars(self._choice), "steps": [to_json(step) for step in self._steps],
+        }  # fmt: skip
+        part = self._folder / ".session.json.part"
+        part.write_text(json.dumps(document, indent=1), encoding="utf-8")
+        os.replace(part, self._folder / "session.json")
+
+    def _result(self, number: int) -> Mapping[str, Any] | None:
+        try:
+            found = json.loads(self.file(number, "json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return found if isinstance(found, dict) else None
 
     def _ended(self, step: Step, job: Job) -> None:
         seconds = round(job.seconds, 1)
@@ -176,15 +174,17 @@ class Session:
             self._steps[step.number - 1] = ended
             if ended.written is not None:
                 self.shelf = self.shelf.with_file(ended.written)
+            self._save()
 
     def _judged(self, step: Step, job: Job) -> Step:
         """With what the command left behind. An effect that the data do not support is an answer, not a failure."""
-        try:
-            result = json.loads(self.file(step.number, "json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        result = self._result(step.number)
+        if result is None or (step.order.kind == "look" and result["error"]):
             said = [line for line in job.progress if line.strip()]
-            why = said[-1] if said else f"ended with status {job.status} and said nothing"
-            return replace(step, state="failed", sentence=re.sub(r"^motorlens \w+: ", "", why))
+            why = said[-1] if said else "it said nothing"
+            if job.status not in (1, 2):
+                why = f"ended with status {job.status}; the last it said: {why}"
+            return replace(step, state="failed", sentence=re.sub(r"^motorlens \w+: ", "", why), result=result)
         before, _, _ = job.output.partition("\n\n")
         *notes, sentence = before.splitlines() or [""]
         return replace(

@@ -1,15 +1,17 @@
-"""The files that the page may use: those the user named, and the motor files and recordings of one folder. No others."""
+"""The files that the page may use: those the user named or sent, and the motor files and recordings of one folder."""
 
 import os
 import re
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from motorlens_runtime.errors import DataError
 
-RECORDINGS = (".csv", ".csv.gz", ".parquet")
+# Files that are named or sent; in a folder, only those that are hardly anything else.
+_SURE = (".csv", ".csv.gz", ".tsv", ".parquet", ".mat", ".mf4", ".mdf")
+RECORDINGS = (*_SURE, ".txt", ".dat", ".log", ".asc")
 # More files than anybody scrolls through: a folder of that many is the wrong one.
 MOST = 2000
 _OUTPUT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*\.toml")
@@ -30,10 +32,12 @@ class Shelf:
     Attributes:
         named: files the user named.
         folder: whose files can be chosen too; None: none.
+        sent: the folder of the files that the page has sent.
     """
 
     named: tuple[str, ...]
     folder: str | None
+    sent: str | None = None
 
     def motors(self) -> list[MotorEntry]:
         """Motor files, in alphabetical order."""
@@ -74,12 +78,20 @@ class Shelf:
 
     def with_file(self, name: str) -> "Shelf":
         """With a file that was written."""
-        return Shelf((*self.named, name), self.folder) if name not in self.named else self
+        return replace(self, named=(*self.named, name)) if name not in self.named else self
+
+    def path(self, name: str) -> Path:
+        """A file on the shelf. Raises DataError for any other."""
+        if name not in self.recordings():
+            self.motor(name)
+        return Path(name)
 
     def _names(self, suffixes: tuple[str, ...]) -> list[str]:
         found = {_typed(name) for name in self.named if name.lower().endswith(suffixes)}
         if self.folder is not None:
-            found |= set(_walk(self.folder, suffixes))
+            found |= set(_walk(self.folder, tuple(end for end in suffixes if end in (*_SURE, ".toml"))))
+        if self.sent is not None:
+            found |= set(_walk(self.sent, suffixes))
         return sorted(found)
 
 
@@ -103,6 +115,11 @@ def _walk(folder: str, suffixes: tuple[str, ...]) -> list[str]:
 def _typed(path: str) -> str:
     """A path such that no command takes it for an option."""
     return f"./{path}" if path.startswith("-") else path
+
+
+def is_motor(path: Path) -> bool:
+    """Whether a file is a motor file."""
+    return _parts(path) is not None
 
 
 def _parts(path: Path) -> tuple[str, ...] | None:

@@ -1,0 +1,40 @@
+"""Look at a recording before it is used: its columns, what they are taken for, gaps and suspicions, all samples as plots.
+
+example:
+  motorlens look bench.csv --html look.html
+
+Columns that are named otherwise are mapped with --column, as in every command. Exit status 1 if the recording cannot be
+used so; its columns are shown all the same.
+"""
+
+import argparse
+import shlex
+
+from motorlens_runtime.cli import add_json_argument, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recording", metavar="REC", help="recording")
+    parser.add_argument(
+        "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
+    )
+    parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from motorlens_runtime.errors import DataError
+    from motorlens_workbench.report.page import write
+    from motorlens_workbench.report.recording import look, to_html, to_json, to_text
+
+    sight = look(arguments.recording, arguments.column)
+    write_json(to_json(sight), arguments.json)
+    if arguments.html:
+        words = ["motorlens", "look", arguments.recording]
+        words += [word for column in arguments.column for word in ("--column", column)]
+        write(to_html(sight, shlex.join(words)), arguments.html)
+    if arguments.json != "-":
+        print(to_text(sight))
+    if sight.error:
+        raise DataError(sight.error)
+    return 0
