@@ -58,8 +58,8 @@ def _seconds(text: str, fallback: float) -> float:
 
 def _part(recording: Recording, name: str, start: float, stop: float) -> Recording:
     time = recording.time_s - recording.time_s[0]
-    first, last = np.searchsorted(time, (start, stop))
-    last += int(last < len(time) and time[last] == stop)
+    near = 1e-3 * recording.period_s  # stamps are rounded
+    first, last = np.searchsorted(time, (start - near, stop + near))
     if last - first < FEWEST:
         raise DataError(
             f"{name}: {max(last - first, 0)} samples from {start:g} to {stop:g} s; at least {FEWEST} are needed, "

@@ -10,7 +10,7 @@ from helpers.browser import chromium, needs_browser, opened, serious
 
 from motorlens_runtime.cli import main
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.fit]
 MODEL = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
 

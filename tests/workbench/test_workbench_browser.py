@@ -13,7 +13,7 @@ from helpers.browser import chromium, needs_browser, opened, serious
 
 from motorlens_runtime.cli import main
 
-pytestmark = needs_browser
+pytestmark = [needs_browser, pytest.mark.fit]
 MODEL = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 STEP_MS = 240_000
 
@@ -86,7 +86,7 @@ def ended(page, place, text=re.compile(".")):
     return sentence.inner_text()
 
 
-@pytest.mark.slow
+@pytest.mark.blind
 def test_the_four_steps_a_reload_in_the_middle_and_another_day(browser, folder, tmp_path):
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     with workbench(tmp_path, "bench.csv") as url, opened(browser, url) as page:

@@ -39,7 +39,7 @@ class Browser:
     def __init__(self, folder: Path, named: tuple[str, ...] = ()) -> None:
         self.results = folder / "results"
         self.results.mkdir()
-        self.session = Session(Shelf(named, "."), self.results)
+        self.session = Session(Shelf(named, "."), Path("results"))
         self.server = LoopbackServer(WorkbenchPage(self.session, Effects()).answer)
 
     def ask(self, path, document=None, **headers):

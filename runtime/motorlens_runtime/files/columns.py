@@ -102,12 +102,13 @@ class Column:
 
 
 def units_offered(quantity: str) -> tuple[str, ...]:
-    """Spellings of units that a quantity is often recorded in, the canonical one first.
+    """Spellings of units that a quantity is often recorded in, the canonical one first; none for a word.
 
     >>> units_offered("speed")
     ('rad/s', 'rpm', 'deg/s', 'rev/s', 'Hz')
     """
-    return tuple(_OFFERED[QUANTITIES[quantity][0]].split(", "))
+    unit = QUANTITIES[quantity][0]
+    return tuple(_OFFERED[unit].split(", ")) if unit in _OFFERED else ()
 
 
 def canonical_name(quantity: str) -> str:
