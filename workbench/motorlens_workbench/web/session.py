@@ -30,7 +30,7 @@ class Session:
         folder: where it keeps itself: `session.json`, results, and what the page sends. Made with the first step or file;
             a session that is there is continued.
         effects_from: the user's own effects.
-        choice: what is chosen, if no session is there.
+        choice: what the user has named; of a session that is there, the rest stays.
 
     Raises:
         DataError: what is there is no session.
@@ -46,7 +46,7 @@ class Session:
         self._choice = choice or Choice()
         self._job: Job | None = None
         self._lock = threading.Lock()
-        self._continue(choice)
+        self._continue()
 
     @property
     def steps(self) -> list[Step]:
@@ -117,7 +117,7 @@ class Session:
         """Where the page (`html`) or the document (`json`) of a step lies."""
         return self._folder / "results" / f"{number}.{kind}"
 
-    def _continue(self, choice: Choice | None) -> None:
+    def _continue(self) -> None:
         path = self._folder / "session.json"
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
@@ -131,8 +131,8 @@ class Session:
             if document["schema"] != SCHEMA:
                 raise ValueError
             steps = [step_of(entry) for entry in document["steps"]]
-            if choice is None or not choice.motor:
-                self._choice = choice_of(document["choice"])
+            given = {name: value for name, value in vars(self._choice).items() if value}
+            self._choice = replace(choice_of(document["choice"]), **given)
         except (KeyError, TypeError, ValueError, DataError):
             raise DataError(
                 f"{path}: is no session of this version; move it away, or name another with --session"
