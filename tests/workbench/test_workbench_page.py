@@ -369,6 +369,7 @@ def test_files_are_sent_in_pieces_within_bounds_and_over_nothing(bench, monkeypa
     assert bench.ask("/upload?name=a.csv&offset=0&size=2", {}, Authorization="")[0] == 403
 
 
+@pytest.mark.fit
 def test_a_session_outlives_the_workbench(bench, tmp_path):
     rows = "".join(f"{k / 100},{k % 7},{k % 5},{k % 3}\n" for k in range(200))
     Path("odd.csv").write_text("time_s,u_mot,current_A,speed_rad_s\n" + rows)
