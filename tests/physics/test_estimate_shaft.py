@@ -72,7 +72,7 @@ def turning():
 def test_the_angle_is_followed_where_the_simulated_one_is_turns_ahead(turning):
     file, recording, true, _ = turning
     run = prepare_all([recording], file)[0]
-    model = replace(start_model(file, [run]), held=(True,))
+    model = replace(start_model(file, [run]), held=((True, True, True),))
     trajectory, shown = predict(model, run, 0)
     found = followed(run, trajectory, shown)
     assert found.shaft is not None
@@ -86,7 +86,7 @@ def test_what_the_ripple_changes_follows_from_the_shaft_as_followed(turning):
     file, recording, true, ripple = turning
     run = prepare_all([recording], file)[0]
     right = start_model(read_motor_file(MOTOR), [run])
-    plain = replace(right, held=(True,))
+    plain = replace(right, held=((True, True, True),))
     trajectory, shown = predict(plain, run, 0)
     known = followed(run, trajectory, shown)
     with_it = with_effect(plain, ripple)
@@ -123,7 +123,7 @@ def test_a_phase_of_nought_has_a_derivative(turning, held):
     """What a change of the phase does to what is shown, against the difference of two simulations."""
     file, recording, _, ripple = turning
     run = prepare_all([recording], file)[0]
-    plain = replace(start_model(file, [run]), held=(held,))
+    plain = replace(start_model(file, [run]), held=((held, held, held),))
     known = followed(run, *predict(plain, run, 0))
     key = "commutation_ripple.p"
     model = with_effect(plain, replace(ripple, p=0.0))

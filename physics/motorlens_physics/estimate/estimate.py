@@ -249,6 +249,10 @@ def estimate(
             break
         point = other
     point, gram, left = _minimised(point, prior, progress, outliers=True)
+    # Only where it ends does scatter between blocks tell of what is missing; on the way it is the parameters that are wrong.
+    tempered = point.tempered()
+    if tempered.inflation > 1.0:
+        point, gram, left = _minimised(tempered, prior, progress, outliers=True)
     return _concluded(point, prior, gram, left)
 
 
@@ -312,7 +316,7 @@ def _noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outlier
         return part, part.white()
 
     found = on_all_cores(one, point.parts)
-    return replace(point, parts=tuple(p for p, _ in found), whites=tuple(w for _, w in found)).tempered()
+    return replace(point, parts=tuple(p for p, _ in found), whites=tuple(w for _, w in found))
 
 
 def _at(model: Model, latest: Weighed, prior: Prior) -> Weighed:
