@@ -150,7 +150,7 @@ class Probe:
     def report(self) -> OutletReport:
         return OutletReport("probe", len(self.parts), 0, 0, None)
 
-    def put(self, estimates: Estimates) -> None:
+    def put(self, estimates: Estimates, inputs: object = None) -> None:
         self.parts.append((time.monotonic_ns(), estimates))
 
     def put_counts(self, counts: dict[str, object]) -> None:

@@ -208,7 +208,7 @@ class Last:
     def report(self) -> OutletReport:
         return OutletReport("last", self.rows, 0, 0, None)
 
-    def put(self, estimates: Estimates) -> None:
+    def put(self, estimates: Estimates, inputs: object = None) -> None:
         # While nothing comes, the last estimate is published on, marked stale.
         stale = int((estimates.quality & Quality.STALE != 0).sum())
         self.repeats += stale

@@ -265,7 +265,7 @@ class Frames:
         self.arrival_ns += 1_000_000
         return self._link.feed(frame, self.arrival_ns)
 
-    def put(self, estimates: Estimates) -> None:
+    def put(self, estimates: Estimates, inputs: object = None) -> None:
         self.taken_ns.append(time.thread_time_ns() - self._started_ns)
 
     def put_counts(self, counts: dict[str, object]) -> None:
