@@ -32,7 +32,8 @@ enum {
     MOTORLENS_QUALITY_BACKEND_MISMATCH = 512,
     MOTORLENS_QUALITY_STUCK = 1024,
     MOTORLENS_QUALITY_JUMP = 2048,
-    MOTORLENS_QUALITY_ASSUMED_COLD = 4096
+    MOTORLENS_QUALITY_ASSUMED_COLD = 4096,
+    MOTORLENS_QUALITY_LINE_LOST = 8192
 };
 
 /* One instant. `ambient_C` is NaN where it is not measured; `flags` are reasons that the source knows already. */

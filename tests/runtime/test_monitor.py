@@ -1,5 +1,6 @@
 """The live page: what a browser receives is what the publishers write, from a run of its own or one it attaches to."""
 
+import csv
 import json
 import math
 import os
@@ -23,7 +24,8 @@ from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.monitor.attach import attach
 from motorlens_runtime.monitor.history import History
-from motorlens_runtime.monitor.page import WORDS, MonitorPage
+from motorlens_runtime.monitor.motor import WORDS
+from motorlens_runtime.monitor.page import FILES, MonitorPage
 from motorlens_runtime.publish import Header, open_publisher
 from motorlens_runtime.sensor.specification import Output
 
@@ -87,7 +89,7 @@ def live(page, window=60, level=-1, after=0):
 
 @pytest.fixture
 def page():
-    page = MonitorPage(HEADER)
+    page = MonitorPage(HEADER, wall_clock=lambda: 5000.0)
     yield page
     page.close()
 
@@ -140,6 +142,12 @@ def test_new_rows_only_are_given_to_a_reader_that_has_the_others():
     assert history.view(5.0).rows.time_ns.tolist() == given.time_ns[-51:].tolist()
 
 
+def widened(given, inputs):
+    """Rows as an outlet hands them to the page, with voltage and current beside the estimates."""
+    values, sigma = np.hstack((given.values, inputs)), np.hstack((given.sigma, 0 * inputs))
+    return Estimates(given.time_ns, values, sigma, given.quality)
+
+
 def rows_between(given, start, stop):
     part = slice(start, stop)
     return Estimates(given.time_ns[part], given.values[part], given.sigma[part], given.quality[part])
@@ -168,11 +176,13 @@ def test_the_page_is_given_rows_events_and_counts(page):
     found = live(page)
     assert found["time_s"] == [1.0, 1.5, 2.0]
     assert found["values"][1] == given.values[:, 1].tolist() and found["values"][0][1] is None
+    assert found["values"][3] == found["values"][4] == [None] * 3  # no voltage and no current has come
     assert found["sigma"][0] == given.sigma[:, 0].tolist() and found["sigma"][1][2] is None
     assert found["doubt"] == [0, 1, 1]
     assert found["latest"]["reasons"] == ["warm_up", "simulated"] and found["latest"]["status"] == "uncertain"
     assert found["counts"] == {"samples": 30, "lost": 2, "time_to_limit_s": {"hot": None}}
-    assert found["alarms"] == [ALARM] and found["events"] == [ALARM] and found["rows"] == 3
+    assert found["alarms"] == found["events"] == [{**ALARM, "at": 5000.0}] and found["rows"] == 3
+    assert found["latest"]["fresh_at"] == 5000.0 and found["offset_s"] == 4998.0
     page.event({**ALARM, "active": False})
     assert live(page)["alarms"] == [] and len(live(page)["events"]) == 2
     assert live(page, 60, found["level"], found["after"])["time_s"] == []
@@ -183,8 +193,8 @@ def test_many_rows_come_in_several_answers(page):
     page.publish(given)
     found = live(page)
     assert found["time_s"] == (given.time_ns / 1e9).tolist()
-    assert np.array_equal(np.array(found["values"]).T, given.values)
-    assert np.array_equal(np.array(found["sigma"]).T, given.sigma)
+    assert np.array_equal(np.array(found["values"][:3]).T, given.values)
+    assert np.array_equal(np.array(found["sigma"][:3]).T, given.sigma)
 
 
 def test_every_reason_has_words():
@@ -193,15 +203,105 @@ def test_every_reason_has_words():
 
 def test_only_its_own_files_and_only_with_the_key(page):
     assert ask(page, "/live")[0] == 403 and ask(page, "/")[0] == 403
-    for path in ("/", "/page.js", "/page.css", "/style.css", "/about"):
+    for path in (*FILES, "/about", "/motors"):
         assert ask(page, path, **key(page.url))[0] == 200
     for path in ("/../page.py", "/page.py", "/%2e%2e/page.py", "//etc/passwd", "/history.py"):
         assert ask(page, path, **key(page.url))[0] == 404
     for window in ("much", "nan", "inf", "-inf"):
         assert ask(page, f"/live?window={window}", **key(page.url))[0] == 400
     # Nothing is fetched from elsewhere: the page works on a PC without a network.
-    for path in ("/", "/page.js", "/page.css", "/style.css"):
+    for path in [path for path in FILES if "uPlot" not in path]:
         assert b"http" not in ask(page, path, **key(page.url))[1]
+
+
+def post(page, path, document):
+    headers = {"Content-Type": "application/json", **key(page.url)}
+    request = urllib.request.Request(
+        page.url.partition("?")[0].rstrip("/") + path, json.dumps(document).encode(), headers, method="POST"
+    )
+    try:
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_a_limit_set_on_the_page_is_watched_and_told(page):
+    asked = {"motor": 0, "quantity": "speed_rad_s", "side": ">", "limit": 150}
+    assert post(page, "/limit", asked)[0] == 200
+    page.counts(
+        {"limits": [{"name": "hot", "column": 1, "heading": "temperature_rise_K", "side": 1, "limit": 90.0}]}
+    )
+    assert [(limit["name"], limit["limit"], limit.get("own")) for limit in live(page)["limits"]] == [
+        ("hot", 90.0, None), ("speed > 150", 150.0, True),
+    ]  # fmt: skip
+    given = rows(np.arange(6.0))
+    given.values[:, 0] = [100, 149, 151, 152, 148, 142]  # off below 142.5, a twentieth of the limit
+    page.publish(rows_between(given, 0, 4))
+    assert [(event["alarm"], event["timestamp"]) for event in live(page)["alarms"]] == [("speed > 150", 2.0)]
+    page.publish(rows_between(given, 4, 6))
+    assert live(page)["alarms"] == []
+    assert [(event["active"], event["timestamp"]) for event in live(page)["events"]] == [
+        (True, 2.0),
+        (False, 5.0),
+    ]
+    assert post(page, "/limit", {"motor": 0, "remove": "speed > 150"})[0] == 200
+    assert [limit["name"] for limit in live(page)["limits"]] == ["hot"]
+
+
+@pytest.mark.parametrize(
+    ("path", "document", "said"),
+    [("/limit", {**{"quantity": "speed", "side": ">"}, "limit": "much"}, "are numbers"),
+     ("/limit", {"quantity": "torque", "side": ">", "limit": 1}, "does not estimate 'torque'"),
+     ("/limit", {"quantity": "speed", "side": "=", "limit": 1}, "write QUANTITY>NUMBER"),
+     ("/limit", {"quantity": "speed", "side": ">", "limit": math.nan}, "write QUANTITY>NUMBER"),
+     ("/limit", {"motor": 7, "remove": "x"}, "there is no motor 7"), ("/limit", [1], "are numbers"),
+     ("/record", {}, "are numbers"), ("/record", {"motor": None, "on": True}, "are numbers")],
+)  # fmt: skip
+def test_what_the_page_may_not_ask_is_said(page, path, document, said):
+    status, text = post(page, path, document)
+    assert status == 400 and said in text
+    assert ask(page, path, **key(page.url))[0] == 404
+
+
+def test_a_recording_holds_every_row_from_start_to_stop(page):
+    given = rows(np.arange(500) / 20, int(Quality.BRIDGED))
+    given.values[7, 1] = math.nan
+    wide = widened(given, np.arange(1000.0).reshape(500, 2))
+    assert ask(page, "/recording.csv", **key(page.url))[0] == 404
+    for start, stop in ((0, 100), (100, 300), (300, 400)):
+        if start:
+            assert post(page, "/record", {"motor": 0, "on": start == 100})[0] == 200
+        page.publish(rows_between(wide, start, stop))
+    assert live(page)["recording"] == {"on": False, "rows": 200, "there": True}
+    table = list(csv.DictReader(ask(page, "/recording.csv", **key(page.url))[1].decode().splitlines()))
+    assert [float(row["time_s"]) for row in table] == (given.time_ns[100:300] / 1e9).tolist()
+    for k, (heading, sd_heading) in enumerate(HEADINGS):
+        assert [float(row[heading]) for row in table] == given.values[100:300, k].tolist()
+        assert [float(row[sd_heading]) for row in table] == given.sigma[100:300, k].tolist()
+    assert [float(row["current_A"]) for row in table] == np.arange(1000.0).reshape(500, 2)[
+        100:300, 1
+    ].tolist()
+    assert {row["quality"] for row in table} == {str(int(Quality.BRIDGED))}
+
+
+def test_several_motors_keep_apart():
+    page = MonitorPage(HEADER, name="press")
+    saw = page.add(HEADER, "saw")
+    page.publish(rows([1.0, 2.0]))
+    saw.publish(rows([7.0], seed=1))
+    saw.event(ALARM)
+    motors = json.loads(ask(page, "/motors", **key(page.url))[1])["motors"]
+    assert [(motor["motor"], motor["latest"]["time_s"], motor["alarms"]) for motor in motors] == [
+        ("press", 2.0, 0), ("saw", 7.0, 1),
+    ]  # fmt: skip
+    for number, times in enumerate(([1.0, 2.0], [7.0])):
+        found = json.loads(ask(page, f"/live?motor={number}", **key(page.url))[1])
+        assert found["time_s"] == times
+        about = json.loads(ask(page, f"/about?motor={number}", **key(page.url))[1])
+        assert about["motor"] == ("press", "saw")[number]
+    assert ask(page, "/live?motor=2", **key(page.url))[0] == 400
+    page.close()
 
 
 def test_the_publisher_serves_this_machine_only(capsys):
@@ -269,6 +369,9 @@ def test_a_run_shows_what_its_other_publishers_write(tmp_path, monkeypatch):
         k = found["time_s"].index(row["timestamp"])
         for column, (heading, sd_heading) in enumerate(HEADINGS):
             assert found["values"][column][k] == row[heading] and found["sigma"][column][k] == row[sd_heading]
+    volts = dict(zip(found["time_s"], found["values"][3], strict=True))
+    for k in range(0, 3000, 50):
+        assert volts[k / 1000] == 0.13 * float(device.codes[k, 0])
     assert found["counts"]["lost"] == 0 and found["counts"]["device"] == "bench"
     assert [event["alarm"] for event in found["events"]] == ["speed > -1e+09"]
     with open("report.json") as file:
@@ -411,6 +514,30 @@ def test_the_command_attaches_and_watches(tmp_path, monkeypatch):
     assert found["counts"]["published"] == 50 and found["counts"]["missed"] == 0
     assert [(event["timestamp"], event["active"]) for event in found["events"]] == [(3.1, True)]
     assert os.listdir(tmp_path).count("m.json") == 1
+
+
+def test_the_command_follows_several_and_tells_when_one_falls_silent(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("motorlens_runtime.monitor.follow.LOST_S", 0.2)
+    writers = [open_publisher(f"shm:{tmp_path}/{name}", HEADER) for name in ("a", "b")]
+    for k, writer in enumerate(writers):
+        writer.publish(rows([1.0 + k]))
+    arguments = [
+        "monitor",
+        "--attach",
+        f"press=shm:{tmp_path}/a",
+        "--attach",
+        f"shm:{tmp_path}/b",
+        "--no-browser",
+    ]
+    assert main([*arguments, "--duration", "1", "--json", "m.json"]) == 0
+    for writer in writers:
+        writer.close()
+    with open("m.json") as file:
+        found = json.load(file)
+    assert [motor["counts"]["published"] for motor in found["motors"]] == [1, 1]
+    for k, motor in enumerate(found["motors"]):
+        assert [(event["event"], event["timestamp"]) for event in motor["events"]] == [("line_lost", 1.0 + k)]
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,15 @@
 
 With --source, the sensor runs here, as with `motorlens run`, and the page shows it. With --attach, the page shows a runtime
 that runs already: shm:NAME (every row), http://127.0.0.1:9464 (what prometheus: serves) or udp://127.0.0.1:9870 (which may
-come from another machine), after what it was given with --publish. The page is for this machine only and opens by itself.
+come from another machine), after what it was given with --publish; several --attach, as NAME=URL, share the page. The page
+is for this machine only and opens by itself.
 
 example: motorlens monitor --source serial:///dev/ttyUSB0?baud=921600 --sensor mellah2016 \\
              --alarm 'temperature>90,within_s=120'
 """
 
 import argparse
-from typing import Any
+from contextlib import closing
 
 from motorlens_runtime.cli import write_json
 from motorlens_runtime.commands.run import add_options
@@ -22,7 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--source", metavar="URL", help="where the samples come from, as for motorlens run")
     where.add_argument(
-        "--attach", metavar="URL", help="a runtime that runs already: shm:NAME, http://..., udp://..."
+        "--attach",
+        action="append",
+        metavar="[NAME=]URL",
+        help="a runtime that runs already: shm:NAME, http://..., udp://...; may be repeated",
     )
     parser.add_argument(
         "--sensor", metavar="S.onnx", help="the virtual sensor; with --attach only --alarm needs it"
@@ -50,12 +54,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _attached(arguments: argparse.Namespace) -> int:
     import time
+    from contextlib import ExitStack
 
     from motorlens_runtime.errors import DataError
-    from motorlens_runtime.monitor.attach import attach
+    from motorlens_runtime.monitor.attach import attach, named
+    from motorlens_runtime.monitor.follow import Follower
     from motorlens_runtime.monitor.page import MonitorPage
     from motorlens_runtime.sensor.sensor import load_sensor
-    from motorlens_runtime.service.alarms import Watch, parse_alarm
+    from motorlens_runtime.service.alarms import parse_alarm
     from motorlens_runtime.service.live import stopping
     from motorlens_runtime.web.browser import announce
 
@@ -68,38 +74,27 @@ def _attached(arguments: argparse.Namespace) -> int:
     if arguments.alarm:
         specification = load_sensor(arguments.sensor, arguments.backend).specification
         alarms = [parse_alarm(text, specification) for text in arguments.alarm]
-    watch = Watch(alarms)
-    there = attach(arguments.attach)
-    try:
-        page = MonitorPage(there.header, arguments.port)
+    with ExitStack() as stack:
+        there = []
+        for text in arguments.attach:
+            name, url = named(text)
+            there.append((name, url, stack.enter_context(closing(attach(url)))))
+        (name, url, first), *others = there
+        page = MonitorPage(first.header, arguments.port, name=name)
+        stack.callback(page.close)
+        motors = [page.motor, *(page.add(other.header, name) for name, _, other in others)]
+        followers = [
+            Follower(attachment, motor, alarms, time.monotonic)
+            for (_, _, attachment), motor in zip(there, motors, strict=True)
+        ]
         announce("monitor", page.url, None if arguments.no_browser else page.url_for_once())
-        told: dict[str, Any] = {}
-        happened: list[dict[str, Any]] = []
         end = time.monotonic() + arguments.duration
         with stopping() as stop:
             while not stop() and time.monotonic() < end:
-                news = there.read(0.25)
-                found = [*news.events]
-                if news.rows is not None:
-                    page.publish(news.rows)
-                    found += [event.document() for event in watch.look(news.rows)]
-                for event in found:
-                    page.event(event)
-                happened = [*happened, *found][-100:]
-                if news.counts is not None:
-                    left = {
-                        name: s if s < float("inf") else None for name, s in watch.time_to_limit_s().items()
-                    }
-                    told = {
-                        **news.counts,
-                        "time_to_limit_s": {**news.counts.get("time_to_limit_s", {}), **left},
-                    }
-                    page.counts(told)
-        page.close()
-    finally:
-        there.close()
-    write_json(
-        {"schema": "motorlens.monitor/1", "attached": arguments.attach, "counts": told, "events": happened},
-        arguments.json,
-    )
+                for follower in followers:
+                    follower.look(0.25 / len(followers))
+    reports = [
+        {"attached": url, **follower.report()} for (_, url, _), follower in zip(there, followers, strict=True)
+    ]
+    write_json({"schema": "motorlens.monitor/1", **reports[0], "motors": reports}, arguments.json)
     return 0

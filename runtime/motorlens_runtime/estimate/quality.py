@@ -26,6 +26,7 @@ class Quality(IntFlag):
     STUCK = 1024  # a channel repeats itself while the other one moves
     JUMP = 2048  # the current changed faster than the inductance allows
     ASSUMED_COLD = 4096  # the motor is taken to have started at ambient temperature, and nothing has shown it
+    LINE_LOST = 8192  # nothing has come for seconds, or samples have only just begun to come again
 
 
 class OpcUa(IntEnum):
@@ -38,6 +39,7 @@ class OpcUa(IntEnum):
     UNCERTAIN_NOT_ACCURATE = 0x40930000
     UNCERTAIN_UNITS_EXCEEDED = 0x40940000
     UNCERTAIN_SIMULATED = 0x42090000
+    BAD_NO_COMMUNICATION = 0x80310000
     BAD_SENSOR_FAILURE = 0x808C0000
 
 
@@ -45,6 +47,7 @@ _BAD = Quality.BACKEND_MISMATCH | Quality.NOT_FINITE | Quality.STUCK
 # In order of severity: the first that applies is reported.
 _CODES = (
     (_BAD, OpcUa.BAD_SENSOR_FAILURE),
+    (Quality.LINE_LOST, OpcUa.BAD_NO_COMMUNICATION),
     (Quality.STALE, OpcUa.UNCERTAIN_LAST_USABLE),
     (Quality.OUTSIDE_ENVELOPE, OpcUa.UNCERTAIN_UNITS_EXCEEDED),
     (Quality.SATURATED | Quality.JUMP, OpcUa.UNCERTAIN_NOT_ACCURATE),
@@ -81,4 +84,4 @@ def sparkplug(word: int) -> int:
     """192 good, 500 stale, 0 bad. What is merely uncertain is good here, as Sparkplug has no word for it."""
     if word & _BAD:
         return 0
-    return 500 if word & Quality.STALE else 192
+    return 500 if word & (Quality.STALE | Quality.LINE_LOST) else 192

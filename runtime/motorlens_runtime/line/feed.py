@@ -30,12 +30,13 @@ class Feed(Protocol):
     """Samples, whatever they come from.
 
     `period_s` is the expected time between samples (None until known), `device` what the device calls itself, `arrival_ns`
-    when the last samples came by the clock.
+    when the last samples came by the clock, `down` why the line is broken (None: it is not).
     """
 
     period_s: float | None
     device: str
     arrival_ns: int
+    down: str | None
 
     def read(self, timeout_s: float) -> Samples | None:
         """The samples that have come, after `timeout_s` at the latest; None at the end."""
@@ -217,6 +218,7 @@ class FileFeed:
     """A recording, as fast as it can be read, or at `?speed=1` times real time."""
 
     device = ""
+    down: str | None = None
 
     def __init__(
         self,

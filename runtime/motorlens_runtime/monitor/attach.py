@@ -66,6 +66,18 @@ class Attachment(Protocol):
         ...
 
 
+def named(text: str) -> tuple[str, str]:
+    """Name and URL of `NAME=URL`, or of a URL, whose name is then what it says.
+
+    >>> named("press 7=shm:press")
+    ('press 7', 'shm:press')
+    >>> named("udp://127.0.0.1:9870")
+    ('udp://127.0.0.1:9870', 'udp://127.0.0.1:9870')
+    """
+    match = re.fullmatch(r"([^:=/]+)=(.+)", text)
+    return (match[1].strip(), match[2]) if match else (text, text)
+
+
 def attach(url: str, first_s: float = _FIRST_S) -> Attachment:
     """Attach to what `--attach` names.
 

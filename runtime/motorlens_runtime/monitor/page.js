@@ -6,45 +6,30 @@ const COUNTS = [
   ["samples", "samples"], ["published", "estimates"], ["lost", "samples lost"], ["bad_frames", "damaged frames"],
   ["reconnects", "line opened again"], ["missed", "rows this page missed"],
 ];
+// A runtime repeats its last estimate ten times a second when its own line is silent: one that says nothing is gone.
+const SILENT_S = 3;
 const $ = id => document.getElementById(id);
-const cards = [];
-let about, shown = {level: -1, after: 0, time: [], values: [], sigma: [], doubt: []};
-let windowS = 60, held = false, before = null, pointer = null, last = null;
+const seen = {limits: []};
+let about, cards = [], motor = 0, motors = [], rpm = false;
+let shown = nothing(), complete = false, windowS = 60, last = null, before = null;
+// What is drawn instead of what comes: `held` a picture of one moment, `player` a recording.
+let held = null, wantsHold = false, player = null;
 
 start();
 
+function nothing() {
+  return {level: -1, after: 0, time: [], values: [], sigma: [], doubt: []};
+}
+
 async function start() {
   history.replaceState(null, "", location.pathname); // the key need not stand in the address line
-  WINDOWS.forEach(([name, seconds], k) => {
-    const button = make("button", name, $("windows"));
-    button.type = "button";
-    button.onclick = () => choose(seconds);
-    button.dataset.seconds = seconds;
-  });
-  const hold = make("button", "Hold", $("windows"));
-  hold.type = "button";
-  hold.id = "hold";
-  hold.onclick = toggle;
+  rpm = localStorage.getItem("rpm") === "true";
+  controls();
   choose(60);
-  addEventListener("keydown", event => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const window_ = WINDOWS[Number(event.key) - 1];
-    if (event.key !== " " && window_) choose(window_[1]);
-    else if (event.key === " " && event.target === document.body) { event.preventDefault(); toggle(); }
-  });
-  addEventListener("resize", draw);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   for (;;) {
     try {
       if (!about) await introduce();
-      let live, asked;
-      do {
-        asked = windowS;
-        live = await ask(`/live?window=${asked}&level=${shown.level}&after=${shown.after}`);
-        if (asked === windowS) take(live); // else it answers a question that nobody asks any more
-      } while (live.more || asked !== windowS);
-      tell(live);
-      if (!held) draw();
+      await news();
     } catch (error) {
       gone(error.message);
     }
@@ -52,84 +37,133 @@ async function start() {
   }
 }
 
-async function ask(path) {
-  const reply = await fetch(path);
+async function news() {
+  let live, of, asked;
+  do {
+    of = motor;
+    asked = windowS;
+    live = await ask(`/live?motor=${of}&window=${asked}&level=${shown.level}&after=${shown.after}`);
+    if (asked === windowS && of === motor) take(live); // else it answers a question that nobody asks any more
+  } while (live.more || asked !== windowS || of !== motor);
+  tell(live);
+  complete = shown.time.length > 0;
+  if (wantsHold) hold();
+  if (!held && !player) draw();
+  if (motors.length > 1) overview((await ask("/motors")).motors);
+}
+
+async function ask(path, document_) {
+  const reply = await fetch(path, document_ && {method: "POST", headers: {"Content-Type": "application/json"}, body: JSON.stringify(document_)});
   if (!reply.ok) throw new Error((await reply.text()).trim());
   return reply.json();
 }
 
 async function introduce() {
-  about = await ask("/about");
-  $("about").textContent = `motorlens monitor: ${about.sensor} ${about.version}`;
-  about.outputs.forEach((output, k) => {
-    const card = make("section", "", $("quantities"));
-    card.className = "quantity";
-    const words = make("div", "", card);
-    make("h2", output.name + (output.heading === "temperature_rise_K" ? " above ambient" : ""), words);
-    const value = make("p", "", words), spread = make("p", "", words), also = make("p", "", words);
-    value.className = "value";
-    spread.className = also.className = "spread";
-    const canvas = make("canvas", "", make("div", "", card));
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `${output.name} in ${output.unit} over time, with two standard deviations`);
-    canvas.onpointermove = event => { pointer = event.offsetX / canvas.clientWidth; draw(); };
-    canvas.onpointerleave = () => { pointer = null; draw(); };
-    cards.push({output, card, value, spread, also, canvas});
-  });
+  const found = await ask(`/about?motor=${motor}`);
+  motors = (await ask("/motors")).motors;
+  about = found;
+  put($("about"), `motorlens monitor: ${about.sensor} ${about.version}`);
+  $("quantities").replaceChildren();
+  cards = about.outputs.map(output => card(output));
+  $("quantity").replaceChildren();
+  about.outputs.filter(o => !o.input).forEach(o => make("option", title(o), $("quantity")).value = o.heading);
+  units();
+}
+
+function title(output) {
+  return output.name + (output.heading === "temperature_rise_K" ? " above ambient" : "");
+}
+
+function card(output) {
+  const place = make("section", "", $("quantities"), output.input ? "quantity input" : "quantity");
+  place.hidden = Boolean(output.input); // until a voltage or a current comes
+  const words = make("div", "", place);
+  make("h2", title(output), words);
+  const value = make("p", "", words, "value"), figure = make("span", "", value), small = make("small", "", value);
+  const spread = make("p", "", words, "spread"), also = make("p", "", words, "spread"), at = make("p", "", words, "spread");
+  const area = make("div", "", place, "plot");
+  area.setAttribute("role", "img");
+  area.setAttribute("aria-label", `${title(output)} in ${output.unit} over time${output.input ? "" : ", with two standard deviations"}`);
+  const plot = new Plot(area, output, seen, zoom, pointed);
+  return {output, place, figure, small, spread, also, at, plot};
 }
 
 function take(live) {
   last = live;
   const same = live.level === shown.level && live.first === shown.after;
-  if (!same) shown = {time: [], values: live.values.map(() => []), sigma: live.values.map(() => []), doubt: []};
+  if (!same) shown = {...nothing(), values: live.values.map(() => []), sigma: live.values.map(() => [])};
   shown.level = live.level;
   shown.after = live.after;
-  append(shown.time, live.time_s);
+  append(shown.time, live.time_s.map(t => t + live.offset_s));
   append(shown.doubt, live.doubt);
   live.values.forEach((row, k) => append(shown.values[k], row));
   live.sigma.forEach((row, k) => append(shown.sigma[k], row));
-  const newest = live.latest ? live.latest.time_s : 0;
+  const newest = end();
   let old = 0;
   while (old < shown.time.length && shown.time[old] < newest - windowS) old++;
   if (old) for (const row of [shown.time, shown.doubt, ...shown.values, ...shown.sigma]) row.splice(0, old);
-  if (live.counts.device) $("about").textContent = `motorlens monitor: ${about.sensor} ${about.version} on ${live.counts.device}`;
+  if (live.counts.device) put($("about"), `motorlens monitor: ${about.sensor} ${about.version} on ${live.counts.device}`);
 }
 
 function append(row, more) {
   for (const value of more) row.push(value);
 }
 
-function tell(live) {
-  const latest = live.latest;
-  if (latest) {
-    const words = latest.reasons.map(reason => about.reasons[reason] || reason).join("; ");
-    const silent = latest.age_s > 3 ? `Nothing has come for ${duration(Math.round(latest.age_s))}` : "";
-    const status = {good: "Good", uncertain: "Uncertain", bad: "Bad"}[latest.status] + (words ? `: ${words}` : "");
-    state(silent ? "gone" : latest.status, silent || status);
-    cards.forEach(({output, card, value, spread, also}, k) => {
-      card.classList.toggle("old", latest.reasons.includes("stale") || latest.age_s > 3);
-      put(value, number(latest.values[k], latest.sigma[k]));
-      make("small", " " + unit(output.unit), value);
-      put(spread, `± ${number(2 * latest.sigma[k], latest.sigma[k])} ${unit(output.unit)} (2σ)`);
-      if (output.unit === "rad/s") put(also, `${number(latest.values[k] * 30 / Math.PI, latest.sigma[k] * 10)} rpm`);
-    });
-  } else state("", "Waiting for the first estimate");
-  fill($("alarms"), live.alarms.map(alarm => `Alarm: ${alarm.alarm}: ${alarm.message}`));
-  const events = live.events.slice().reverse();
-  $("no-events").hidden = events.length > 0;
-  if (events.length !== $("events").childElementCount || events.length === 100) {
-    $("events").replaceChildren(...events.map(event => {
-      const item = document.createElement("li");
-      if (event.timestamp !== undefined) make("time", `${event.timestamp.toFixed(1)} s`, item);
-      const on = event.event === "alarm" ? `${event.active ? "on" : "off"}: ${event.alarm}: ` : "";
-      item.append(on + event.message);
-      return item;
-    }));
-  }
-  count(live);
+function end() {
+  return last && last.latest ? last.latest.time_s + last.offset_s : Date.now() / 1000;
 }
 
-function count(live) {
+function tell(live) {
+  const latest = live.latest, silent = latest && latest.age_s > SILENT_S;
+  const dead = silent || (latest && latest.reasons.includes("line_lost"));
+  if (latest) {
+    const words = latest.reasons.toReversed().filter(reason => !dead || reason !== "stale").map(reason => about.reasons[reason] || reason).join("; ");
+    const word = {good: "Good", uncertain: "Uncertain", bad: "Bad"}[latest.status] + (words ? `: ${words}` : "");
+    state(silent ? "bad" : latest.status, silent ? "Bad: nothing comes from the runtime" : word);
+    const since = live.latest.fresh_at === null ? 0 : Date.now() / 1000 - latest.fresh_at;
+    put($("dated"), since > SILENT_S ? `Last values of ${clock(latest.fresh_at)}, ${duration(Math.round(since))} ago` : "");
+    if (!player) values(latest.values, latest.sigma, dead || latest.reasons.includes("stale"), latest.status === "bad" || dead);
+  } else state("", "Waiting for the first estimate");
+  seen.limits = live.limits;
+  fill($("alarms"), "p", live.alarms.map(alarm => alarmWords(alarm, latest, dead)));
+  const events = live.events.slice().reverse();
+  $("no-events").hidden = events.length > 0;
+  fill($("events"), "li", events.map(event => {
+    const on = event.event === "alarm" ? `alarm ${event.active ? "on" : "off"}: ${event.alarm}: ` : "";
+    return `${clock(event.at)}  ${on}${event.message}`;
+  }));
+  count(live, dead);
+  limits(live.limits.filter(limit => limit.own));
+  const recording = live.recording;
+  $("record").setAttribute("aria-pressed", recording.on);
+  put($("record"), recording.on ? `Stop recording (${recording.rows} rows)` : "Record");
+  $("recording").hidden = recording.on || !recording.there;
+  $("recording").href = `/recording.csv?motor=${motor}`;
+}
+
+// Since when, and what the value is now: the message of the event was true when it went on.
+function alarmWords(alarm, latest, dead) {
+  const limit = seen.limits.find(one => one.name === alarm.alarm), card = limit && cards[limit.column];
+  const now = card && latest && !dead ? `, now ${number(latest.values[limit.column] * factor(card.output), latest.sigma[limit.column] * factor(card.output))} ${unit(card.output)}` : "";
+  const bound = card ? ` (limit ${figures(limit.limit * factor(card.output))} ${unit(card.output)})` : "";
+  return `Alarm since ${clock(alarm.at)}: ${alarm.alarm}${bound}${now}${dead ? ", not known now: the line is lost" : ""}`;
+}
+
+function values(now, sigma, old, bad) {
+  cards.forEach(({output, place, figure, small, spread, also}, k) => {
+    const by = factor(output), sd = sigma[k] * by, there = now[k] !== null;
+    if (output.input && there) place.hidden = false;
+    place.classList.toggle("old", old);
+    put(figure, !there ? "-" : output.input ? figures(now[k]) : number(now[k] * by, sd));
+    put(small, ` ${unit(output)}`);
+    if (output.input) return;
+    put(spread, bad ? "not known now" : `± ${number(2 * sd, sd)} ${unit(output)} (2σ)`);
+    // As wide as the sensor's own size of an error: what comes does not tell the value.
+    put(also, !bad && output.scale && 2 * sigma[k] > output.scale ? "Not told by what comes: nothing excites the motor, or too little has been seen." : "");
+  });
+}
+
+function count(live, dead) {
   const now = performance.now() / 1000;
   const counts = {published: live.rows, ...live.counts};
   if (!before || now - before.at > 2) {
@@ -143,175 +177,196 @@ function count(live) {
     return [words, counts[name].toLocaleString("en"), rate === undefined ? "" : `${rate < 10 ? rate.toFixed(1) : Math.round(rate)} a second`];
   });
   for (const [alarm, left] of Object.entries(counts.time_to_limit_s || {}))
-    rows.push([`time to the limit: ${alarm}`, left === null ? "not in sight" : duration(left), ""]);
-  $("counts").replaceChildren(...rows.map(row => {
-    const line = document.createElement("tr");
-    row.forEach(cell => make("td", cell, line));
-    return line;
-  }));
+    rows.push([`time to the limit: ${alarm}`, dead ? "not known" : left === null ? "not in sight" : duration(left), ""]);
+  const body = $("counts").tBodies[0];
+  while (body.rows.length > rows.length) body.deleteRow(-1);
+  rows.forEach((row, k) => fill(body.rows[k] || body.insertRow(), "td", row));
+}
+
+function limits(own) {
+  const list = $("limits");
+  if (list.dataset.names === own.map(limit => limit.name).join("\n")) return;
+  list.dataset.names = own.map(limit => limit.name).join("\n");
+  list.replaceChildren();
+  own.forEach(limit => {
+    const item = make("li", "", list), button = (make("span", `${limit.name} ${about.outputs[limit.column].unit}`, item), make("button", "Remove", item));
+    button.setAttribute("aria-label", `Remove the limit ${limit.name}`);
+    button.onclick = () => send("/limit", {motor, remove: limit.name});
+  });
+}
+
+async function send(path, asked) {
+  try {
+    await ask(path, asked);
+    put($("limit-said"), "");
+    return true;
+  } catch (error) {
+    put($("limit-said"), error.message);
+    return false;
+  }
 }
 
 function gone(why) {
-  state("gone", `No answer from the runtime${why && !why.includes("fetch") ? ": " + why : ""}`);
-  cards.forEach(({card}) => card.classList.add("old"));
+  state("bad", `No answer from the runtime${why && !why.includes("fetch") ? ": " + why : ""}`);
+  cards.forEach(({place}) => place.classList.add("old"));
 }
 
 function state(kind, words) {
   $("status").className = `verdict ${kind}`;
   put($("status"), words);
-  document.title = words;
+  const mark = {good: "", uncertain: "▲ ", bad: "■ "}[kind] || "";
+  if (document.title !== mark + words) document.title = mark + words;
 }
 
-function draw() {
-  const style = getComputedStyle(document.documentElement), colour = name => style.getPropertyValue(`--${name}`).trim();
-  const end = last && last.latest ? last.latest.time_s : 0, begin = end - windowS;
-  cards.forEach(({output, canvas}, k) => {
-    const scale = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
-    canvas.width = width * scale;
-    canvas.height = height * scale;
-    const pen = canvas.getContext("2d");
-    pen.scale(scale, scale);
-    pen.font = "12px system-ui, sans-serif";
-    const {time, doubt} = shown, y = shown.values[k] || [], s = shown.sigma[k] || [];
-    const plot = {left: 56, right: width - 8, top: 6, bottom: height - 24};
-    let low = Infinity, high = -Infinity;
-    y.forEach((v, j) => {
-      if (v === null) return;
-      const spread = s[j] === null ? 0 : 2 * s[j];
-      low = Math.min(low, v - spread);
-      high = Math.max(high, v + spread);
-    });
-    if (low > high) [low, high] = [0, 1];
-    const least = Math.max(Math.abs(high), Math.abs(low)) * 1e-4 || 1;
-    const margin = Math.max((high - low) * 0.08, least);
-    low -= margin;
-    high += margin;
-    const px = t => plot.left + (t - begin) / windowS * (plot.right - plot.left);
-    const py = v => plot.bottom - (v - low) / (high - low) * (plot.bottom - plot.top);
-    pen.textBaseline = "middle";
-    for (const tick of ticks(low, high, 5)) {
-      pen.fillStyle = colour("faint");
-      pen.fillRect(plot.left, Math.round(py(tick)), plot.right - plot.left, 1);
-      pen.fillStyle = colour("faded");
-      pen.textAlign = "right";
-      pen.fillText(tickText(tick, high - low), plot.left - 6, py(tick));
-    }
-    pen.textAlign = "center";
-    for (let j = 0; j <= 6; j++) {
-      const t = begin + windowS * j / 6;
-      pen.textAlign = j === 0 ? "left" : j === 6 ? "right" : "center";
-      pen.fillText(j === 6 ? "now" : `-${duration(windowS * (6 - j) / 6)}`, px(t), height - 8);
-    }
-    const step = time.length > 1 ? (time[time.length - 1] - time[0]) / (time.length - 1) : 1;
-    const whole = [];
-    let piece = [];
-    y.forEach((v, j) => {
-      if (piece.length && (v === null || time[j] - time[j - 1] > Math.max(5 * step, 0.5))) { whole.push(piece); piece = []; }
-      if (v !== null) piece.push(j);
-    });
-    if (piece.length) whole.push(piece);
-    pen.save();
-    pen.beginPath();
-    pen.rect(plot.left, 0, plot.right - plot.left, height);
-    pen.clip();
-    for (const part of whole) {
-      pen.beginPath();
-      part.forEach(j => pen.lineTo(px(time[j]), py(y[j] + 2 * (s[j] || 0))));
-      part.slice().reverse().forEach(j => pen.lineTo(px(time[j]), py(y[j] - 2 * (s[j] || 0))));
-      pen.fillStyle = colour("predicted");
-      pen.globalAlpha = 0.22;
-      pen.fill();
-      pen.globalAlpha = 1;
-      pen.beginPath();
-      part.forEach(j => pen.lineTo(px(time[j]), py(y[j])));
-      pen.strokeStyle = colour("predicted");
-      pen.lineWidth = 1.6;
-      pen.stroke();
-    }
-    doubt.forEach((code, j) => {
-      if (!code) return;
-      pen.fillStyle = colour(code === 2 ? "bad" : "doubt");
-      const from = px(time[j]), to = j + 1 < time.length ? px(time[j + 1]) : from + 2;
-      pen.fillRect(from, plot.bottom, Math.max(to - from, 1) + 0.5, 4);
-    });
-    pen.restore();
-    if (pointer !== null && time.length) point(pen, pointer * width, plot, time, y, s, px, py, end, output, colour);
+function overview(found) {
+  motors = found;
+  $("motors").hidden = false;
+  while ($("motors").childElementCount < found.length) make("button", "", $("motors")).type = "button";
+  found.forEach((one, k) => {
+    const button = $("motors").children[k], latest = one.latest, bad = !latest || latest.age_s > SILENT_S || latest.status === "bad";
+    const mark = bad ? "■ bad" : latest.status === "good" ? "● good" : "▲ uncertain";
+    put(button, `${one.motor}: ${mark}${one.alarms ? `, ${one.alarms} on alarm` : ""}`);
+    button.toggleAttribute("aria-current", k === motor);
+    button.onclick = () => { motor = k; about = null; before = null; release(); choose(windowS); };
   });
 }
 
-function point(pen, x, plot, time, y, s, px, py, end, output, colour) {
-  let nearest = 0;
-  time.forEach((t, j) => { if (Math.abs(px(t) - x) < Math.abs(px(time[nearest]) - x)) nearest = j; });
-  if (y[nearest] === null || y[nearest] === undefined) return;
-  const at = px(time[nearest]);
-  pen.fillStyle = colour("faded");
-  pen.fillRect(at, plot.top, 1, plot.bottom - plot.top);
-  const text = `${number(y[nearest], s[nearest])} ± ${number(2 * s[nearest], s[nearest])} ${unit(output.unit)}, ${duration(end - time[nearest])} ago`;
-  const right = at > (plot.left + plot.right) / 2;
-  const width = pen.measureText(text).width;
-  pen.fillStyle = colour("panel");
-  pen.fillRect(right ? at - width - 14 : at + 4, plot.top, width + 10, 20);
-  pen.fillStyle = colour("ink");
-  pen.textAlign = right ? "right" : "left";
-  pen.fillText(text, at + (right ? -9 : 9), plot.top + 10);
+function draw() {
+  const picture = player || held || {data: shown, span: [end() - windowS, end()]};
+  cards.forEach((card, k) => { if (!card.place.hidden) card.plot.draw(picture.data, k, picture.span); });
 }
 
-function ticks(low, high, about_) {
-  const raw = (high - low) / about_, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 2.5, 5, 10].map(m => m * power).find(m => m >= raw);
-  const found = [];
-  for (let v = Math.ceil(low / step) * step; v <= high; v += step) found.push(v);
-  return found;
+// Hold: a picture of this moment; what comes meanwhile is gathered behind it.
+function hold(span) {
+  const copy = rows => rows.map(row => row.slice());
+  if (!complete) { wantsHold = true; return; } // rows of this window are still coming
+  wantsHold = false;
+  if (!held) held = {at: Date.now() / 1000, data: {time: shown.time.slice(), doubt: shown.doubt.slice(), values: copy(shown.values), sigma: copy(shown.sigma)}, span: [end() - windowS, end()]};
+  if (span) held.span = span;
+  $("hold").setAttribute("aria-pressed", true);
+  $("held").hidden = false;
+  put($("held"), `Held since ${clock(held.at)}${span ? "; a part, twice click to be back" : ""}`);
+  draw();
 }
 
-function tickText(value, span) {
-  const digits = Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(span / 4))));
-  return Number(value.toFixed(digits)).toLocaleString("en", {maximumFractionDigits: digits});
+function release() {
+  held = null;
+  wantsHold = false;
+  cards.forEach(card => { card.plot.range = null; });
+  $("hold").setAttribute("aria-pressed", false);
+  $("held").hidden = true;
+  if (cards.length) draw();
 }
 
-// As many digits as two standard deviations leave meaning to, and one more.
-function number(value, sd) {
-  if (value === null || value === undefined || Number.isNaN(value)) return "-";
-  const digits = sd > 0 && isFinite(sd) ? Math.max(0, Math.min(6, 1 - Math.floor(Math.log10(2 * sd)))) : 3;
-  return value.toFixed(digits).replace(/^-0(\.0*)?$/, "0$1");
+function zoom(from, to) {
+  if (from === null) {
+    cards.forEach(card => { card.plot.range = null; });
+    if (player) { player.span = [player.data.time[0], player.data.time.at(-1)]; draw(); } else release();
+  } else if (player) { player.span = [from, to]; player.runs = false; put($("run"), "Play"); draw(); } else hold([from, to]);
 }
 
-function unit(text) {
-  return {ohm: "Ω", degC: "°C"}[text] || text;
-}
-
-function duration(seconds) {
-  if (seconds < 100) return `${seconds < 10 ? Number(seconds.toFixed(1)) : Math.round(seconds)} s`;
-  if (seconds < 6000) return `${Number((seconds / 60).toFixed(1))} min`;
-  return `${Number((seconds / 3600).toFixed(1))} h`;
+function pointed(plot, index) {
+  cards.forEach(card => {
+    const {output, at} = card, drawn = card.plot.data, row = index === null || index === undefined ? null : index;
+    const value = row === null ? null : drawn[ESTIMATE][row] ?? drawn[DEAD][row];
+    if (value === null || value === undefined) { put(at, ""); return; }
+    const band = output.input || drawn[LOW][row] === null ? 0 : drawn[ESTIMATE][row] - drawn[LOW][row];
+    put(at, `${output.input ? figures(value) : `${number(value, band / 2)} ± ${number(band, band / 2)}`} at ${clock(drawn[0][row])}`);
+  });
 }
 
 function choose(seconds) {
   windowS = seconds;
-  shown = {level: -1, after: 0, time: [], values: [], sigma: [], doubt: []};
+  shown = nothing();
+  complete = false;
+  release();
   for (const button of $("windows").querySelectorAll("[data-seconds]"))
     button.setAttribute("aria-pressed", Number(button.dataset.seconds) === seconds);
 }
 
-function toggle() {
-  held = !held;
-  $("hold").setAttribute("aria-pressed", held);
-  if (!held) draw();
+function play(data, name) {
+  release();
+  player = {data, name, span: [data.time[0], data.time.at(-1)], runs: false, at: data.time.at(-1)};
+  $("player").hidden = false;
+  put($("playing"), `Recording ${name}`);
+  put($("run"), "Play");
+  cards.forEach((card, k) => { if (card.output.input) card.place.hidden = data.values[k].every(v => v === null); });
+  shows(1);
+  draw();
 }
 
-function make(tag, text, parent) {
-  const element = document.createElement(tag);
-  element.textContent = text;
-  parent.append(element);
-  return element;
+// The values of a recording at a share of its length.
+function shows(share) {
+  const {data} = player, first = data.time[0], until = data.time.at(-1);
+  player.at = first + share * (until - first);
+  let row = 0;
+  while (row + 1 < data.time.length && data.time[row + 1] <= player.at) row++;
+  values(data.values.map(column => column[row]), data.sigma.map(column => column[row]), false, data.doubt[row] === 2);
+  $("position").value = share;
 }
 
-function put(element, text) {
-  element.textContent = text;
+function step(passedS) {
+  if (!player || !player.runs) return;
+  const first = player.data.time[0], until = player.data.time.at(-1);
+  const at = Math.min(player.at + passedS * Number($("pace").value), until);
+  shows(until > first ? (at - first) / (until - first) : 1);
+  player.span = [at - windowS, at];
+  if (at >= until) { player.runs = false; put($("run"), "Play"); }
+  draw();
 }
 
-function fill(list, texts) {
-  if (texts.join("\n") === [...list.children].map(item => item.textContent).join("\n")) return;
-  list.replaceChildren();
-  texts.forEach(text => make("li", text, list));
+function units() {
+  $("unit").setAttribute("aria-pressed", rpm);
+  const chosen = about && about.outputs.find(o => o.heading === $("quantity").value);
+  if (chosen) put($("limit-unit"), unit(chosen));
+}
+
+function controls() {
+  const button = (id, act) => { $(id).onclick = act; };
+  WINDOWS.forEach(([name, seconds]) => {
+    const one = make("button", name, $("windows"));
+    one.type = "button";
+    one.dataset.seconds = seconds;
+    one.onclick = () => choose(seconds);
+  });
+  const still = make("button", "Hold", $("windows"));
+  Object.assign(still, {type: "button", id: "hold", onclick: () => held || wantsHold ? release() : hold()});
+  still.setAttribute("aria-pressed", false);
+  button("record", () => send("/record", {motor, on: $("record").getAttribute("aria-pressed") !== "true"}));
+  button("csv", () => {
+    const picture = player || held || {data: shown, span: [end() - windowS, end()]};
+    save("motorlens.csv", new Blob([csvOf(picture.data, picture.span, about.outputs)], {type: "text/csv"}));
+  });
+  button("png", async () => save("motorlens.png", await pngOf(cards.filter(card => !card.place.hidden).map(card => card.plot), `${$("about").textContent}, ${new Date().toLocaleString()}`)));
+  button("open", () => $("file").click());
+  $("file").onchange = async () => {
+    const file = $("file").files[0];
+    $("file").value = "";
+    if (!file) return;
+    try { play(readCsv(await file.text(), about), file.name); put($("limit-said"), ""); } catch (error) { put($("limit-said"), `${file.name} ${error.message}`); }
+  };
+  button("run", () => {
+    player.runs = !player.runs;
+    put($("run"), player.runs ? "Pause" : "Play");
+    if (player.runs && player.at >= player.data.time.at(-1)) shows(0);
+  });
+  $("position").oninput = () => { shows(Number($("position").value)); step(0); };
+  button("live", () => { player = null; $("player").hidden = true; release(); });
+  button("unit", () => { rpm = !rpm; localStorage.setItem("rpm", rpm); units(); if (last) tell(last); release(); if (player) { shows(Number($("position").value)); draw(); } });
+  $("quantity").onchange = units;
+  $("limit").onsubmit = async event => {
+    event.preventDefault();
+    const output = about.outputs.find(o => o.heading === $("quantity").value);
+    const asked = {motor, quantity: output.heading, side: $("side").value, limit: Number($("value").value) / factor(output)};
+    if (await send("/limit", asked)) $("value").value = "";
+  };
+  addEventListener("keydown", event => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, select")) return;
+    const chosen = WINDOWS[Number(event.key) - 1];
+    if (event.key !== " " && chosen) choose(chosen[1]);
+    else if (event.key === " " && event.target === document.body) { event.preventDefault(); still.click(); }
+  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => cards.forEach(card => card.plot.again()));
+  let then = performance.now();
+  setInterval(() => { const now = performance.now(); step((now - then) / 1000); then = now; }, 100);
 }

@@ -1,78 +1,67 @@
-"""The live page: a publisher whose rows, events and counts a browser asks for."""
+"""The live page: a publisher whose rows, events and counts a browser asks for; of one motor or of several."""
 
 import json
 import math
-import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.estimator import Estimates
-from motorlens_runtime.estimate.quality import Quality, names, opc_ua
-from motorlens_runtime.monitor.history import BINS_S, History
+from motorlens_runtime.monitor.motor import Motor
 from motorlens_runtime.publish import Header
 from motorlens_runtime.web import asset
 from motorlens_runtime.web.loopback import Answer, LoopbackServer, Request, refusal
 
-# What each reason means to somebody who looks at the page.
-WORDS = {
-    Quality.WARM_UP: "warming up: less history than the sensor needs",
-    Quality.BRIDGED: "samples are missing shortly before",
-    Quality.STALE: "no sample comes: these are the last values",
-    Quality.SATURATED: "a converter is at its rail",
-    Quality.OUTSIDE_ENVELOPE: "outside what the sensor was trained on",
-    Quality.NOT_FINITE: "a sample was no number and was left out",
-    Quality.RESTORED: "heat remembered from an earlier run, not confirmed yet",
-    Quality.OVERLOAD: "this PC is behind the stream",
-    Quality.SIMULATED: "simulated drive",
-    Quality.BACKEND_MISMATCH: "two implementations of the network disagree",
-    Quality.STUCK: "a channel repeats itself",
-    Quality.JUMP: "the current jumped faster than the inductance allows",
-    Quality.ASSUMED_COLD: "the motor is taken to have started cold: no heat was remembered",
-}
-_THROUGHOUT = np.uint32(Quality.SIMULATED | Quality.ASSUMED_COLD)
+_OWN, _SHARED = "motorlens_runtime.monitor", "motorlens_runtime.web"
+_SCRIPT, _STYLE = "text/javascript; charset=utf-8", "text/css; charset=utf-8"
 # What the page is made of: path, package and name of the file, its type.
 FILES = {
-    "/": ("motorlens_runtime.monitor", "page.html", "text/html; charset=utf-8"),
-    "/page.js": ("motorlens_runtime.monitor", "page.js", "text/javascript; charset=utf-8"),
-    "/page.css": ("motorlens_runtime.monitor", "page.css", "text/css; charset=utf-8"),
-    "/style.css": ("motorlens_runtime.web", "style.css", "text/css; charset=utf-8"),
+    "/": (_OWN, "page.html", "text/html; charset=utf-8"),
+    "/page.js": (_OWN, "page.js", _SCRIPT),
+    "/plots.js": (_OWN, "plots.js", _SCRIPT),
+    "/files.js": (_OWN, "files.js", _SCRIPT),
+    "/words.js": (_OWN, "words.js", _SCRIPT),
+    "/page.css": (_OWN, "page.css", _STYLE),
+    "/style.css": (_SHARED, "style.css", _STYLE),
+    "/uPlot.js": (f"{_SHARED}.uplot", "uPlot.iife.min.js", _SCRIPT),
+    "/uPlot.css": (f"{_SHARED}.uplot", "uPlot.min.css", _STYLE),
 }
-_EVENTS = 100
-# Rows in one answer: writing them as JSON holds up the estimator in the same process, for a millisecond or two.
-_AT_ONCE = 200
 # Window that a page may ask for, at most.
 _DAY_S = 86_400.0
 
 
 class MonitorPage:
-    """Serves the page at `url` from the moment it is made until `close`.
+    """Serves the page at `url` from the moment it is made until `close`; as a publisher it is that of its first motor.
 
-    `GET /live?window=SECONDS&level=L&after=N` is everything that moves; level and number of the next row, as the last answer
-    gave them, ask for new rows only; while there is `more`, it is asked again at once.
+    `GET /motors` is the list. `GET /about?motor=K` is what does not change, `/live?motor=K&window=SECONDS&level=L&after=N`
+    everything that moves; level and number of the next row, as the last answer gave them, ask for new rows only; while there
+    is `more`, it is asked again at once. `GET /recording.csv?motor=K` is what was recorded. `POST /limit` takes
+    `{"motor": K, "quantity": HEADING, "side": ">", "limit": NUMBER}` or `{"motor": K, "remove": NAME}`, `POST /record` takes
+    `{"motor": K, "on": true}`.
     """
 
+    takes_inputs = True
+
     def __init__(
-        self,
-        header: Header,
-        port: int = 0,
-        token: str | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._header, self._clock = header, clock
-        self._history = History(len(header.outputs))
-        self._lock = threading.Lock()
-        self._latest: Estimates | None = None
-        self._arrived_s = 0.0
-        self._rows = 0
-        self._counts: dict[str, Any] = {}
-        self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
-        self._active: dict[str, dict[str, Any]] = {}
+        self, header: Header, port: int = 0, token: str | None = None, clock: Callable[[], float] = time.monotonic,
+        name: str = "", wall_clock: Callable[[], float] = time.time,
+    ) -> None:  # fmt: skip
+        self._clocks = clock, wall_clock
+        self._motors: list[Motor] = []
+        self.add(header, name)
         self._server = LoopbackServer(self.answer, port, token)
+
+    def add(self, header: Header, name: str) -> Motor:
+        """One more motor on the page; it is fed through what is returned."""
+        motor = Motor(header, name or header.device or header.sensor, *self._clocks)
+        self._motors.append(motor)
+        return motor
+
+    @property
+    def motor(self) -> Motor:
+        """The first motor."""
+        return self._motors[0]
 
     @property
     def url(self) -> str:
@@ -85,26 +74,15 @@ class MonitorPage:
 
     def publish(self, estimates: Estimates) -> None:
         """Keep rows."""
-        if len(estimates):
-            with self._lock:
-                self._history.append(estimates)
-                self._latest = estimates
-                self._arrived_s = self._clock()
-                self._rows += len(estimates)
+        self.motor.publish(estimates)
 
     def event(self, event: dict[str, Any]) -> None:
-        """Keep an event; an alarm stays on until it says otherwise."""
-        with self._lock:
-            self._events.append(event)
-            if event.get("event") == "alarm":
-                self._active.pop(event["alarm"], None)
-                if event["active"] and len(self._active) < _EVENTS:
-                    self._active[event["alarm"]] = event
+        """Keep an event."""
+        self.motor.event(event)
 
     def counts(self, counts: dict[str, Any]) -> None:
-        """Keep what the service counts; an attached page counts what it can."""
-        with self._lock:
-            self._counts = counts
+        """Keep counts."""
+        self.motor.counts(counts)
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -112,75 +90,60 @@ class MonitorPage:
     def close(self) -> None:
         """Stop serving."""
         self._server.close()
+        for motor in self._motors:
+            motor.close()
 
     def answer(self, request: Request) -> Answer:
         """What the server sends."""
-        if request.method != "GET":
-            return refusal(405)
-        if request.path in FILES:
+        if request.path in FILES and request.method == "GET":
             package, name, kind = FILES[request.path]
             return Answer(asset(package, name), kind)
+        try:
+            return self._post(request) if request.method == "POST" else self._get(request)
+        except (ValueError, TypeError, KeyError, RecursionError):
+            return refusal(400, "not understood: motor, window, level, after and limit are numbers")
+        except DataError as error:
+            return refusal(400, str(error))
+
+    def _get(self, request: Request) -> Answer:
+        if request.path == "/motors":
+            return _json({"motors": [motor.state() for motor in self._motors]})
         if request.path == "/about":
-            return _json(self.about())
+            return _json(self._asked(request.query).about())
         if request.path == "/live":
-            try:
-                window_s = float(request.query.get("window", "60"))
-                if not math.isfinite(window_s):
-                    raise ValueError
-                window_s = min(max(window_s, 1.0), _DAY_S)
-                level, after = int(request.query.get("level", "-1")), int(request.query.get("after", "0"))
-            except ValueError:
-                return refusal(400, "window, level and after are numbers")
-            return _json(self.live(window_s, level, after))
+            window_s = float(request.query.get("window", "60"))
+            if not math.isfinite(window_s):
+                raise ValueError
+            level, after = int(request.query.get("level", "-1")), int(request.query.get("after", "0"))
+            return _json(self._asked(request.query).live(min(max(window_s, 1.0), _DAY_S), level, after))
+        if request.path == "/recording.csv":
+            recorded = self._asked(request.query).recording()
+            if recorded is None:
+                return refusal(404)
+            name = {"Content-Disposition": 'attachment; filename="recording.csv"'}
+            return Answer(recorded, "text/csv; charset=utf-8", headers=name)
         return refusal(404)
 
-    def about(self) -> dict[str, Any]:
-        """What does not change."""
-        header = self._header
-        return {
-            "schema": "motorlens.monitor/1", "sensor": header.sensor, "version": header.version, "sha256": header.digest,
-            "outputs": [{"name": o.name, "unit": o.unit, "heading": o.heading} for o in header.outputs],
-            "reasons": {names(bit)[0]: words for bit, words in WORDS.items()},
-            "bins_s": [0.0, *BINS_S],
-        }  # fmt: skip
+    def _post(self, request: Request) -> Answer:
+        if request.path not in ("/limit", "/record"):
+            return refusal(404)
+        asked = json.loads(request.body)
+        if not isinstance(asked, dict):
+            raise ValueError
+        motor = self._asked(asked)
+        if request.path == "/record":
+            motor.record(asked["on"] is True)
+        elif "remove" in asked:
+            motor.remove_limit(str(asked["remove"]))
+        else:
+            motor.set_limit(str(asked["quantity"]), str(asked["side"]), float(asked["limit"]))
+        return _json({})
 
-    def live(self, window_s: float, level: int = -1, after: int = 0) -> dict[str, Any]:
-        """What moves; numbers that are not finite are None."""
-        with self._lock:
-            view = self._history.view(window_s, level, after, _AT_ONCE)
-            latest, counts = self._latest, dict(self._counts)
-            events, active = list(self._events), list(self._active.values())
-            age_s, published = self._clock() - self._arrived_s, self._rows
-        document: dict[str, Any] = {
-            "level": view.level, "first": view.first, "after": view.after, "more": view.more,
-            "time_s": (view.rows.time_ns / 1e9).tolist(),
-            "values": [[_finite(v) for v in row] for row in view.rows.values.T.tolist()],
-            "sigma": [[_finite(v) for v in row] for row in view.rows.sigma.T.tolist()],
-            "doubt": _doubt(view.rows.quality),
-            "rows": published, "counts": counts, "events": events, "alarms": active,
-        }  # fmt: skip
-        if latest is not None:
-            word = int(latest.quality[-1])
-            document["latest"] = {
-                "time_s": int(latest.time_ns[-1]) / 1e9,
-                "values": [_finite(v) for v in latest.values[-1].tolist()],
-                "sigma": [_finite(v) for v in latest.sigma[-1].tolist()],
-                "reasons": names(word), "status": opc_ua(word).name.partition("_")[0].lower(), "age_s": age_s,
-            }  # fmt: skip
-        return document
-
-
-def _doubt(words: NDArray[np.uint32]) -> list[int]:
-    """0 good, 1 uncertain, 2 bad, a row each; what holds for the whole run is said in words and hides nothing here."""
-    severe = {"GOOD": 0, "UNCERTAIN": 1, "BAD": 2}
-    there, at = np.unique(words & ~_THROUGHOUT, return_inverse=True)
-    codes = np.array([severe[opc_ua(int(word)).name.partition("_")[0]] for word in there.tolist()], dtype=int)
-    found: list[int] = codes[at].tolist()
-    return found
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    def _asked(self, query: Any) -> Motor:
+        number = int(query.get("motor", 0))
+        if not 0 <= number < len(self._motors):
+            raise DataError(f"there is no motor {number}")
+        return self._motors[number]
 
 
 def _json(document: dict[str, Any]) -> Answer:

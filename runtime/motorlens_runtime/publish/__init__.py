@@ -32,6 +32,7 @@ class Publisher(Protocol):
     One that has a word for them also has `event(event)`, for alarms as `alarms.Event.document` has them, `counts(counts)`,
     for what `Service.counts` says once a second, and `dropped`, the number of rows that it was given and could not send. One
     whose readers do not wait for each row has `gather_s`: rows may gather for so long, which spares a wake-up for each.
+    One that shows what was measured has `takes_inputs`: its rows have voltage and current as two more columns.
     """
 
     def publish(self, estimates: Estimates) -> None:

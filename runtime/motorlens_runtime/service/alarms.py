@@ -26,7 +26,9 @@ from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.options import Options, nearest
 from motorlens_runtime.sensor.specification import Output, Specification
 
-_MUTE = np.uint32(Quality.BACKEND_MISMATCH | Quality.NOT_FINITE | Quality.STUCK | Quality.STALE)
+_MUTE = np.uint32(
+    Quality.BACKEND_MISMATCH | Quality.NOT_FINITE | Quality.STUCK | Quality.STALE | Quality.LINE_LOST
+)
 Array = NDArray[np.float64]
 
 
@@ -79,6 +81,16 @@ class Alarm(Protocol):
     @property
     def name(self) -> str:
         """What events call it."""
+        ...
+
+    @property
+    def quantity(self) -> Quantity:
+        """What it watches."""
+        ...
+
+    @property
+    def limit(self) -> float:
+        """What must not be passed."""
         ...
 
     def begin(self) -> Any:
@@ -215,6 +227,16 @@ class Watch:
             events += new
         return sorted(events, key=lambda event: event.time_ns)
 
+    def limits(self) -> list[dict[str, Any]]:
+        """What is watched: name, column of the estimates, side (1: above is bad) and limit of each alarm."""
+        return [
+            {
+                "name": alarm.name, "column": alarm.quantity.column, "heading": alarm.quantity.heading,
+                "side": alarm.quantity.side, "limit": alarm.limit,
+            }
+            for alarm, _ in self._alarms
+        ]  # fmt: skip
+
     def time_to_limit_s(self) -> dict[str, float]:
         """Seconds left by alarm name, for those that look ahead."""
         return {alarm.name: state.left_s for alarm, state in self._alarms if isinstance(state, Course)}
@@ -262,6 +284,19 @@ def parse_alarm(text: str, specification: Specification) -> Alarm:
         )  # fmt: skip
     options.finish()
     return alarm
+
+
+def plain_limit(heading: str, side: str, limit: float, outputs: Sequence[Output]) -> Limit:
+    """The alarm `HEADING>NUMBER` with a hysteresis of a twentieth of the limit, as `parse_alarm` makes it.
+
+    Raises:
+        DataError: there is no such output, the side is neither `>` nor `<`, or the limit is not finite.
+    """
+    column, output = _output(heading, outputs, f"{heading}{side}{limit:g}")
+    if side not in ("<", ">") or not math.isfinite(limit):
+        raise DataError(f"{heading}{side}{limit:g}: write QUANTITY>NUMBER or QUANTITY<NUMBER")
+    quantity = Quantity(column, output.heading, 1 if side == ">" else -1, 0.0)
+    return Limit(f"{output.name} {side} {limit:g}", quantity, limit, abs(limit) * 0.05)
 
 
 def thermal_time_constant_s(specification: Specification) -> float:

@@ -7,7 +7,7 @@ the next rows.
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -86,6 +86,7 @@ class Outlet:
         self._rows_waiting = 0
         self._wake = threading.Condition()
         self._closing = threading.Event()
+        self._takes_inputs = bool(getattr(self._publisher, "takes_inputs", False))
         self._gather_s = float(getattr(self._publisher, "gather_s", 0.0))
         self._published = self._dropped = self._errors = 0
         self._last_error: str | None = None
@@ -93,8 +94,15 @@ class Outlet:
         self._thread = threading.Thread(target=self._work, name=url, daemon=True)
         self._thread.start()
 
-    def put(self, estimates: Estimates) -> None:
-        """Hand over rows; returns at once."""
+    def put(self, estimates: Estimates, inputs: NDArray[np.float64] | None = None) -> None:
+        """Hand over rows; returns at once.
+
+        Args:
+            estimates: N rows.
+            inputs: voltage in V and current in A at those rows, (N, 2); None if there are none.
+        """
+        if self._takes_inputs:
+            estimates = _widened(estimates, inputs)
         estimates = self._reduce(self._grid, estimates)
         if not len(estimates) or self.dead:
             return
@@ -188,6 +196,14 @@ class Outlet:
         self._errors += 1
         self._dropped += sum(map(_rows, arguments))
         self._last_error = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+
+
+def _widened(estimates: Estimates, inputs: NDArray[np.float64] | None) -> Estimates:
+    """Rows with voltage and current as two more columns, NaN where they are not known, without a deviation."""
+    if inputs is None:
+        inputs = np.full((len(estimates), 2), np.nan)
+    values = np.hstack((estimates.values, inputs))
+    return replace(estimates, values=values, sigma=np.hstack((estimates.sigma, np.zeros_like(inputs))))
 
 
 def _rows(item: Estimates | Event) -> int:

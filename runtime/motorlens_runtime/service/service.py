@@ -33,15 +33,22 @@ _LATENCIES = 1 << 16
 # How much longer than its duration a live stream may take, from opening the port to its first sample.
 _GRACE_NS = 1_000_000_000
 _COUNT_EVERY_NS = 1_000_000_000
+# After a line was lost, the last values stay until this much of the stream has come: the first sample stands for the whole
+# gap in every filter, and the fast ones (electrical, mechanical) need a second to forget that; the slow ones hardly move.
+_SETTLE_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
 class Settings:
-    """`rate_Hz` of publishing (0: every sample), `duration_s` (inf: until stopped), `stale_s` until a value is old."""
+    """`rate_Hz` of publishing (0: every sample), `duration_s` (inf: until stopped), `stale_s` until a value is old.
+
+    A line that is silent for `lost_s` is lost.
+    """
 
     rate_Hz: float = 100.0
     duration_s: float = float("inf")
     stale_s: float = 0.25
+    lost_s: float = 2.0
 
 
 class Service:
@@ -79,6 +86,8 @@ class Service:
         self._latest: Estimates | None = None
         self._latest_arrival_ns = 0
         self._stale_tick = 0
+        self._lost = False
+        self._settled_ns: int | None = None
         self._best_lag_ns: float | None = None
         self._lag_at_ns = 0
         self._counted_ns = 0
@@ -116,10 +125,13 @@ class Service:
             estimator, estimates = self._follow(self._swap, estimator, samples, rows, estimates)
         self._samples += len(samples)
         self._largest_block = max(self._largest_block, len(samples))
+        if self._lost:
+            self._found_again(samples, arrival_ns)
         self._latest_arrival_ns = arrival_ns
         if len(estimates):
+            estimates = self._held_until_settled(estimates)
             self._latest = estimates
-            self._hand_out(estimates)
+            self._hand_out(estimates, np.column_stack([samples.voltage_V[rows], samples.current_A[rows]]))
         if self._memory is not None:
             self._memory.keep(estimator, self._feed.device, arrival_ns)
         self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
@@ -129,6 +141,8 @@ class Service:
         """What publishers are told once a second: samples and estimates so far, what was lost, time to each limit."""
         feed = self._feed.report()
         left_s = {} if self._watch is None else self._watch.time_to_limit_s()
+        if self._lost:  # how things go on is not known
+            left_s = dict.fromkeys(left_s, np.inf)
         return {
             "device": self._feed.device,
             "samples": self._samples,
@@ -136,6 +150,8 @@ class Service:
             "lost": feed.get("lost_samples", 0),
             "bad_frames": feed.get("bad_frames", 0),
             "reconnects": feed.get("reconnects", 0),
+            "line_lost": self._lost,
+            "limits": [] if self._watch is None else self._watch.limits(),
             "time_to_limit_s": {
                 name: seconds if seconds < np.inf else None for name, seconds in left_s.items()
             },
@@ -196,12 +212,12 @@ class Service:
             return True
         return self._clock() - self._started_ns >= duration_ns + _GRACE_NS
 
-    def _hand_out(self, estimates: Estimates) -> None:
+    def _hand_out(self, estimates: Estimates, inputs: NDArray[np.float64] | None = None) -> None:
         self._published += len(estimates)
         for word in estimates.quality.tolist():
             self._words[word] += 1
         for outlet in self._outlets:
-            outlet.put(estimates)
+            outlet.put(estimates, inputs)
         if self._watch is not None:
             for event in self._watch.look(estimates):
                 self._tell(event.document())
@@ -244,8 +260,39 @@ class Service:
         self._stale_tick = tick
         last = self._latest
         row = slice(len(last) - 1, len(last))
-        quality = last.quality[row] | np.uint32(Quality.STALE)
+        if not self._lost and silence_ns >= self._settings.lost_s * 1e9:
+            self._lost = True
+            why = f": {self._feed.down}" if self._feed.down else ""
+            self._tell(
+                _line_event("lost", int(last.time_ns[-1]), f"no sample for {silence_ns * 1e-9:.1f} s{why}")
+            )
+        reason = Quality.STALE | Quality.LINE_LOST if self._lost else Quality.STALE
+        quality = last.quality[row] | np.uint32(reason)
         self._hand_out(Estimates(last.time_ns[row] + silence_ns, last.values[row], last.sigma[row], quality))
+
+    def _found_again(self, samples: Samples, arrival_ns: int) -> None:
+        """The line is back."""
+        self._lost = False
+        first_ns = int(samples.time_ns[0])
+        self._settled_ns = first_ns + _SETTLE_NS
+        silence_s = (arrival_ns - self._latest_arrival_ns) * 1e-9
+        self._tell(_line_event("back", first_ns, f"samples come again after {silence_s:.1f} s"))
+
+    def _held_until_settled(self, estimates: Estimates) -> Estimates:
+        """Rows shortly after the line came back repeat the last values, as those while it was lost do."""
+        if self._settled_ns is None or self._latest is None:
+            return estimates
+        early = estimates.time_ns < self._settled_ns
+        if not early.any():
+            self._settled_ns = None
+            return estimates
+        reason = np.uint32(Quality.STALE | Quality.LINE_LOST)
+        return Estimates(
+            estimates.time_ns,
+            np.where(early[:, None], self._latest.values[-1], estimates.values),
+            np.where(early[:, None], self._latest.sigma[-1], estimates.sigma),
+            estimates.quality | np.where(early, reason, np.uint32(0)),
+        )
 
     def _judge_lag(self, samples: Samples, arrival_ns: int) -> Samples:
         """Mark samples that come later than the stream has shown it can."""
@@ -258,3 +305,8 @@ class Service:
             return samples
         flags = np.zeros(len(samples), dtype=np.uint32) if samples.flags is None else samples.flags
         return replace(samples, flags=flags | np.uint32(Quality.OVERLOAD))
+
+
+def _line_event(what: str, time_ns: int, message: str) -> dict[str, Any]:
+    """That the line was `lost` or is `back`, as publishers send it."""
+    return {"event": f"line_{what}", "timestamp": time_ns / 1e9, "message": f"line {what}: {message}"}
