@@ -10,6 +10,7 @@ Exit status 1 if one fails.
 """
 
 import argparse
+import ast
 import datetime
 import json
 import os
@@ -26,7 +27,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 TABLE, STORE = ROOT / "benchmarks" / "measured.toml", ROOT / "docs" / "measured.json"
 PAGE, README = ROOT / "docs" / "measured.md", ROOT / "README.md"
-QUICK_MINUTES = 2
+QUICK_MINUTES, USUAL_MINUTES = 2, 10
 # A study may take so many times its estimate: machines differ, and are busy.
 PATIENCE = 10
 BEGIN, END = "<!-- written by make bench -->", "<!-- end of what make bench writes -->"
@@ -41,7 +42,7 @@ def main() -> int:
     parser.add_argument("--only", metavar="WORD", help="those whose title holds this word")
     parser.add_argument("--write", action="store_true", help="run nothing, write the documents")
     arguments = parser.parse_args()
-    table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
+    table = studies()
     store: dict[str, Entry] = json.loads(STORE.read_text(encoding="utf-8")) if STORE.exists() else {}
     failed = False
     for study in table["study"]:
@@ -54,6 +55,22 @@ def main() -> int:
     PAGE.write_text(page(table["study"], store), encoding="utf-8")
     README.write_text(with_table(README.read_text(encoding="utf-8"), table, store), encoding="utf-8")
     return int(failed)
+
+
+def studies() -> Entry:
+    """The table, and a study for every benchmark that it does not name: its first line and its plain command."""
+    table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
+    commands = " ".join(study["command"] for study in table["study"])
+    for script in sorted(TABLE.parent.glob("*.py")):
+        if script.name not in commands and script != Path(__file__):
+            summary = (
+                ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or script.stem
+            ).partition("\n")[0]
+            command = f"python benchmarks/{script.name}"
+            table["study"].append(
+                {"title": summary.rstrip("."), "command": command, "minutes": USUAL_MINUTES}
+            )
+    return table
 
 
 def measured(study: Entry) -> Entry:

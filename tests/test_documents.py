@@ -6,7 +6,6 @@ import re
 import shlex
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ spec = importlib.util.spec_from_file_location("collect", ROOT / "benchmarks" / "
 assert spec is not None and spec.loader is not None
 collect = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(collect)
-TABLE = tomllib.loads(collect.TABLE.read_text(encoding="utf-8"))
+TABLE = collect.studies()
 
 
 def tasks() -> dict[str, list[str]]:
@@ -101,6 +100,7 @@ def test_every_study_is_run_by_make_bench():
     scripts = {path.name for path in (ROOT / "benchmarks").glob("*.py")} - {"collect.py"}
     named = set(re.findall(r"benchmarks/(\w+\.py)", " ".join(study["command"] for study in TABLE["study"])))
     assert named == scripts
+    assert len({study["title"] for study in TABLE["study"]}) == len(TABLE["study"])
 
 
 def test_what_was_measured_is_what_the_commands_printed():

@@ -195,6 +195,37 @@ def test_what_cannot_be_read_is_refused_in_one_line_with_the_cure(tmp_path, what
     assert cure in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_spoilt_bytes_are_read_or_refused_in_one_line(tmp_path):
+    rng = np.random.default_rng(3)
+    starts = [how.encode() if isinstance(how, str) else how for how in WRITTEN.values()]
+    pieces = [
+        b",",
+        b";",
+        b"\t",
+        b"\n",
+        b"nan",
+        b"-9999",
+        b"1e400",
+        b'"',
+        b"\xff\xfe",
+        b"\x00",
+        b"#",
+        b"[V]",
+        b"1,5",
+        b"\xb0",
+        b"",
+    ]
+    for _ in range(40):
+        data = bytearray(starts[rng.integers(len(starts))][:2000])
+        for _ in range(rng.integers(1, 8)):
+            at = int(rng.integers(len(data)))
+            data[at : at + int(rng.integers(20))] = pieces[rng.integers(len(pieces))]
+        try:
+            read(tmp_path, bytes(data))
+        except DataError as error:
+            assert "\n" not in str(error)
+
+
 def test_columns_that_were_not_used_are_listed_and_what_they_may_be(tmp_path):
     recording = read(tmp_path, text(names=("time_s", "voltage_V", "iL_A", "wheel_omega_rad_s")))
     assert any(note == "not used: iL_A, wheel_omega_rad_s" for note in recording.notes)

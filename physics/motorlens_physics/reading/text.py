@@ -1,6 +1,7 @@
 """Recordings as text: CSV and its relatives, zipped or not; see `motorlens_runtime.files.layout` for what is understood."""
 
 import gzip
+import zlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ def read(path: Path) -> Table:
     if raw.startswith(b"\x1f\x8b"):
         try:
             raw = gzip.decompress(raw)
-        except (EOFError, OSError) as error:
+        except (EOFError, OSError, zlib.error) as error:
             raise DataError(f"{path}: the compressed file is damaged or cut short ({error})") from None
     layout = layout_of(raw[:HEAD_BYTES], str(path), len(raw) <= HEAD_BYTES)
     if layout.encoding not in ("utf-8", "utf-8-sig"):

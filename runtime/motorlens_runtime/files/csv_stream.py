@@ -9,6 +9,7 @@ import codecs
 import gzip
 import io
 import warnings
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -224,7 +225,7 @@ class CsvStream:
     def _read(self, size: int) -> bytes:
         try:
             return self._file.read(size)
-        except (EOFError, gzip.BadGzipFile, OSError) as error:
+        except (EOFError, OSError, zlib.error) as error:
             raise DataError(
                 f"{self.name}: row {self._row}: the compressed file is damaged or cut short ({error})"
             ) from None
