@@ -14,7 +14,11 @@ import numpy as np
 from motorlens_runtime.web import asset, style
 from motorlens_workbench.report.pictures import Bars, Grid, Plot, Samples, Table, packed
 
-SCRIPTS = (("motorlens_runtime.web.uplot", "uPlot.iife.min.js"), ("motorlens_workbench.report", "plots.js"))
+SCRIPTS = (
+    ("motorlens_runtime.web.uplot", "uPlot.iife.min.js"),
+    ("motorlens_workbench.report", "curves.js"),
+    ("motorlens_workbench.report", "plots.js"),
+)
 STYLES = (("motorlens_runtime.web.uplot", "uPlot.min.css"), ("motorlens_workbench.report", "report.css"))
 
 
