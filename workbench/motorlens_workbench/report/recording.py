@@ -50,13 +50,14 @@ def look(path: str, columns: Sequence[str]) -> Sight:
         DataError: it is no table at all.
         OSError: it cannot be read.
     """
-    table = read_table(Path(path))
+    # First, so that its numbers are gone before the recording's come: a long one is large.
+    headings = _headings(read_table(Path(path)), columns)
     recording, error = None, ""
     try:
         recording = read_recording(path, columns)
     except DataError as found:
         error = str(found)
-    return Sight(path, _headings(table, columns), recording, error)
+    return Sight(path, headings, recording, error)
 
 
 def to_json(sight: Sight) -> dict[str, Any]:
