@@ -114,9 +114,10 @@ def to_text(found: Comparison) -> str:
 def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: str) -> Iterator[str]:
     """The page of `--html`."""
     summary = [
-        f"Motor file {motor}, run freely from the first samples of {', '.join(recordings)}, driven by the measured inputs; "
-        "nothing was fitted. What is missing is the question of motorlens diagnose.",
-        "The noise floor of a channel is the standard deviation of what is white in its error, from second differences.",
+        f"Motor file {motor}, run freely on {', '.join(recordings)}, driven by the measured inputs; nothing of the motor "
+        "was fitted. What is missing is the question of motorlens diagnose.",
+        "The noise floor is what a perfect model would miss by: the noise of the sensor itself, and what the noise of the "
+        "measured inputs stirs up in the simulation and did not stir up in the motor.",
     ]
     sections = [
         Section("Measured and predicted", _overlays(found)),
