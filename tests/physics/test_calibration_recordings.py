@@ -88,6 +88,7 @@ def lab_motor(run: str) -> Recording:
     )
 
 
+@pytest.mark.fit
 def test_voltage_and_speed_alone_tell_ke_and_not_the_resistance() -> None:
     # Measured by their owners: R 3.40 ohm, L 2.853 mH; fitted with R given: ke 0.048, J 9.9e-6.
     motor = Motor(

@@ -53,6 +53,7 @@ def test_parameters_agree_with_differences_of_scipy(key: str) -> None:
     assert_close(mine[key], difference(above, below, 2 * step), 1e-4, key)
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     "key", [*KEYS, "coulomb_friction.tau_c", "initial.theta", "initial.i", "input.load_torque"]
 )

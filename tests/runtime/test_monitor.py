@@ -285,6 +285,18 @@ def test_a_recording_holds_every_row_from_start_to_stop(page):
     assert {row["quality"] for row in table} == {str(int(Quality.BRIDGED))}
 
 
+def test_rows_keep_their_distances_though_the_devices_clock_is_fast():
+    wall_s = [5000.0]
+    page = MonitorPage(HEADER, wall_clock=lambda: wall_s[0])
+    for k in range(10):  # ten times as fast as the wall clock
+        page.publish(rows([10.0 * k]))
+        wall_s[0] += 1.0
+    assert live(page)["offset_s"] == 5000.0
+    page.publish(rows([0.0]))  # the stream begins again
+    assert live(page)["offset_s"] == 5010.0
+    page.close()
+
+
 def test_several_motors_keep_apart():
     page = MonitorPage(HEADER, name="press")
     saw = page.add(HEADER, "saw")

@@ -127,6 +127,7 @@ def test_estimates_and_their_bits(trained, tmp_path):
     )
 
 
+@pytest.mark.fit
 def test_rubbish_is_passed_over(trained, tmp_path):
     path = tmp_path / "s.onnx"
     write_sensor(path, spec=spec_with(trained), features=features_with(trained))

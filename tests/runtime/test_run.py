@@ -146,7 +146,13 @@ def test_an_unplugged_device_is_taken_up_again_where_it_was(here):
 def test_a_device_that_stays_away_ends_it_when_asked(here, capsys):
     device = WireDevice(1000, 10, count=100)
     device.start_when_open()
-    threading.Timer(2.0, device.unplug).start()
+
+    def unplug():
+        # The last row comes from the last frame: everything has been read.
+        eventually(lambda: os.path.exists("live.csv") and len(lines("live.csv")) > 100, "100 rows")
+        device.unplug()
+
+    threading.Thread(target=unplug, daemon=True).start()
     assert run("--source", device.path, "--publish", "csv:live.csv", "--reconnect", 1) == 1
     error = capsys.readouterr().err
     assert "no such port" in error and "gave up after" in error

@@ -92,6 +92,7 @@ def test_what_was_not_measured_is_not_scored(recording):
     json.dumps(found.document(), allow_nan=False)
 
 
+@pytest.mark.fit
 def test_a_bank_read_from_the_file_is_the_bank_that_was_written(recording):
     for observed in (False, True):
         sensor = small_sensor(observed).sensor

@@ -69,6 +69,7 @@ def test_what_was_not_measured_is_not_promised(sensor: Path, tmp_path: Path) -> 
     assert "speed_rad_s" in heading and "temperature" not in heading and "resistance" not in heading
 
 
+@pytest.mark.fit
 @needs_recordings
 def test_a_recording_without_current_is_refused_in_one_line(tmp_path: Path) -> None:
     done = motorlens(

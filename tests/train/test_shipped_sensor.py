@@ -48,6 +48,7 @@ def test_unseen_duty_cycles_are_estimated_as_the_card_says() -> None:
         assert 0.8 < np.mean(inside, axis=0)[k] <= 1.0, name
 
 
+@pytest.mark.fit
 def test_with_an_observer_any_start_will_do() -> None:
     """Started warm, which the sensor is not told: a second after the first voltage step the inrush has shown it."""
     file, sensor = read_motor_file(ROOT / "models/motors/mellah2016.toml"), read_sensor(OBSERVER)

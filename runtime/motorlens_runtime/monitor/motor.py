@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.quality import Quality, names, opc_ua
-from motorlens_runtime.monitor.history import BINS_S, History
+from motorlens_runtime.monitor.history import BACK_S, BINS_S, History
 from motorlens_runtime.publish import Header
 from motorlens_runtime.service.alarms import Limit, Watch, plain_limit
 
@@ -70,6 +70,7 @@ class Motor:
         # Since when nothing fresh has come, by the wall clock, and what the wall clock says when the device says 0.
         self._fresh_at_s: float | None = None
         self._offset_s: float | None = None
+        self._last_s = 0.0
         self._rows = 0
         self._counts: dict[str, Any] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
@@ -100,9 +101,11 @@ class Motor:
             wall_s = self._wall_clock()
             if not int(estimates.quality[-1]) & Quality.STALE:
                 self._fresh_at_s = wall_s
-            offset_s = wall_s - int(estimates.time_ns[-1]) / 1e9
-            if self._offset_s is None or abs(offset_s - self._offset_s) > 2.0:
-                self._offset_s = offset_s
+            # Kept while the stream lasts, also where the device's clock is fast: rows keep their distances.
+            time_s = int(estimates.time_ns[-1]) / 1e9
+            if self._offset_s is None or time_s < self._last_s - BACK_S:
+                self._offset_s = wall_s - time_s
+            self._last_s = time_s
             for event in self._watch.look(estimates):
                 self._keep(event.document())
             self._record_rows(estimates)

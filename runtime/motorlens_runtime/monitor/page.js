@@ -90,10 +90,12 @@ function card(output) {
 
 function take(live) {
   last = live;
-  const same = live.level === shown.level && live.first === shown.after;
+  // A stream that begins again has another time of day for its zero; what was before is not drawn over it.
+  const same = live.level === shown.level && live.first === shown.after && live.offset_s === shown.offset;
   if (!same) shown = {...nothing(), values: live.values.map(() => []), sigma: live.values.map(() => [])};
   shown.level = live.level;
   shown.after = live.after;
+  shown.offset = live.offset_s;
   append(shown.time, live.time_s.map(t => t + live.offset_s));
   append(shown.doubt, live.doubt);
   live.values.forEach((row, k) => append(shown.values[k], row));
