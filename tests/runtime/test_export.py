@@ -161,6 +161,7 @@ def test_another_generator_of_c_agrees_on_the_core_graph(name, tmp_path):
     subprocess.run(
         [compilers()[0], "-std=c11", "-O1", "-w", "-shared", "-fPIC", "-o", library, source, "-lm"],
         check=True,
+        timeout=600,
     )
     sensor = load_sensor(SHIPPED / f"{name}.onnx", "core")
     rows = np.random.default_rng(0).normal(size=(160, len(sensor.specification.features)))

@@ -3,13 +3,12 @@
 import re
 import shutil
 import signal
-import subprocess
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from helpers.browser import chromium, needs_browser, opened, serious
+from helpers.processes import MOTORLENS, Program
 
 from motorlens_runtime.cli import main
 
@@ -52,31 +51,13 @@ def folder(tmp_path_factory):
 @contextmanager
 def workbench(folder, *words):
     """The command itself; gives its address and ends it."""
-    command = [
-        sys.executable,
-        "-m",
-        "motorlens_runtime",
-        "workbench",
-        "--folder",
-        ".",
-        "--motor",
-        "motor.toml",
-        *words,
-    ]
-    with subprocess.Popen(
-        [*command, "--no-browser"], cwd=folder, stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            line = process.stderr.readline()
-            address = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", line)
-            assert address, line + process.stderr.read()
-            yield address[0]
-        finally:
-            process.send_signal(signal.SIGTERM)
-            try:
-                process.wait(30)
-            except subprocess.TimeoutExpired:
-                process.kill()
+    command = [*MOTORLENS, "workbench", "--folder", ".", "--motor", "motor.toml", *words, "--no-browser"]
+    with Program(command, cwd=folder) as program:
+        address = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", program.line(of_error=True))
+        assert address, program.told()
+        yield address[0]
+        program.send(signal.SIGTERM)
+        program.ended()
 
 
 def ended(page, place, text=re.compile(".")):
