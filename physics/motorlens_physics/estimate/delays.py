@@ -63,14 +63,26 @@ def lag_of(measured: Array, shown: Array, there: NDArray[np.bool_]) -> int:
     best, here = int(np.argmin(error)), most
     x = x[most:-most]
     residual = y - cross[best] / power[best] * _shifted(x, int(lags[best]))
-    # Neighbouring errors are alike: the samples count for as many as are independent.
-    alike = float(
-        np.clip(np.mean(residual[1:] * residual[:-1]) / max(np.mean(residual**2), 1e-300), 0.0, 0.999)
-    )
-    independent = rows * (1 - alike) / (1 + alike)
-    gain = independent * np.log(error[here] / error[best])
+    won = _independent(residual) * np.log(error[here] / error[best])
     # A lag of one sample is how the input ran between samples, or a skew.
-    return int(lags[best]) if abs(lags[best]) > 1 and gain > LEVEL + 2 * np.log(len(lags)) else 0
+    return int(lags[best]) if abs(lags[best]) > 1 and won > LEVEL + 2 * np.log(len(lags)) else 0
+
+
+def gain(before: Sequence[Array], after: Sequence[Array]) -> float:
+    """Twice the gain in logarithmic likelihood from residuals (rows, C) of each run to others of the same run."""
+    total = 0.0
+    for one, other in zip(before, after, strict=True):
+        for c in range(one.shape[1]):
+            ratio = np.mean(one[:, c] ** 2) / max(float(np.mean(other[:, c] ** 2)), 1e-300)
+            total += _independent(other[:, c]) * float(np.log(max(ratio, 1e-300)))
+    return total
+
+
+def _independent(residual: Array) -> float:
+    """As how many independent samples residuals (N,) count whose neighbours are alike."""
+    alike = float(np.mean(residual[1:] * residual[:-1]) / max(float(np.mean(residual**2)), 1e-300))
+    alike = min(max(alike, 0.0), 1 - 2 / len(residual))
+    return len(residual) * (1 - alike) / (1 + alike)
 
 
 def _windows(x: Array, rows: int) -> Array:

@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.delays import late_channels
+from motorlens_physics.estimate.delays import LEVEL, gain, late_channels
 from motorlens_physics.estimate.fit import (
     Fit,
     fit,
@@ -50,7 +50,7 @@ ENOUGH, CONVERGED = 0.02, 0.3
 CLOSE = 1.0
 # A skew by more than this share of a sample is a delay by a whole one.
 MOST_OF_A_SAMPLE = 0.75
-# How often channels that were recorded late are looked for again: what was late has distorted the fit.
+# How often inputs that ran otherwise, and channels that are late, are looked for again.
 REALIGNED = 4
 # Twice the logarithm of the likelihood by which another way the inputs ran must be better: that of one parameter more at
 # the 1 % level.
@@ -216,17 +216,16 @@ def estimate(
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
     progress("coming near")
-    # Before the fit, which would bend the motor to what is late; and without skews, which would make up for inputs that
-    # ran otherwise between their samples.
-    runs = late_channels(model, runs)
+    # Without skews, which would make up for inputs that ran otherwise between their samples.
     straight = prior.only([key for key in prior.keys if not key.startswith("skew.")])
     rough = fit(model, runs, straight, rounds=NEAR, enough=1.0)
-    for _ in range(REALIGNED):
-        moved = late_channels(rough.model, runs)
-        if all(one is run for one, run in zip(moved, runs, strict=True)):
-            break
-        runs = moved
-        rough = fit(rough.model, runs, straight, rounds=NEAR, enough=1.0)
+    # What is late bends the fit, and a motor that is slower than its file looks late: each is tried in full.
+    for seen_from in (model, rough.model):
+        moved = late_channels(seen_from, runs)
+        if any(one is not run for one, run in zip(moved, runs, strict=True)):
+            tried = fit(model, moved, straight, rounds=NEAR, enough=1.0)
+            if gain(rough.residuals, tried.residuals) > LEVEL:
+                runs, rough = moved, tried
     point = _noisier(_first_point(rough, runs, prior), AT_FIRST, lasting_too=True)
     # While parameters are wrong, a large error is theirs, and every sample counts.
     point, _, _ = _minimised(point, prior, progress, outliers=False)

@@ -123,26 +123,26 @@ def _mean_power(matrices, balances, holds, variance, power):  # type: ignore[no-
                 for d in range(len(balances)):
                     j = balances[d]
                     if holds[d]:
-                        a = matrices[k, r, n + j] + matrices[k, r, 2 * n + j]
-                        b = matrices[k, c, n + j] + matrices[k, c, 2 * n + j]
+                        a = matrices[k, r, n + j] + matrices[k, r, n + 3 + j]
+                        b = matrices[k, c, n + j] + matrices[k, c, n + 3 + j]
                         total += a * b * variance[d]
                     else:
                         # A sample is shared by two intervals: its two parts go together.
                         first = matrices[k, r, n + j] * matrices[k, c, n + j]
-                        last = matrices[k, r, 2 * n + j] * matrices[k, c, 2 * n + j]
+                        last = matrices[k, r, n + 3 + j] * matrices[k, c, n + 3 + j]
                         total += (first + last) * variance[d]
                         if k:
                             for q in range(n):
                                 total += (
                                     variance[d]
                                     * matrices[k, r, q]
-                                    * matrices[k - 1, q, 2 * n + j]
+                                    * matrices[k - 1, q, n + 3 + j]
                                     * matrices[k, c, n + j]
                                 )
                                 total += (
                                     variance[d]
                                     * matrices[k, c, q]
-                                    * matrices[k - 1, q, 2 * n + j]
+                                    * matrices[k - 1, q, n + 3 + j]
                                     * matrices[k, r, n + j]
                                 )
                 P[r, c] = total

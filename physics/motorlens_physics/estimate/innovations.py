@@ -28,7 +28,7 @@ class StateSpace:
     """A motor along a trajectory, with what disturbs it.
 
     Attributes:
-        matrices: (N - 1, n, 3 n) Phi and the Gammas of `sensitivity.Linearisation`.
+        matrices: (N - 1, n, n + 6) Phi and the Gammas of `sensitivity.Linearisation`.
         shows: (C,) the state that each channel shows.
         balances: (D,) the balance (0 voltage, 1 torque, 2 heat) that each disturbance enters.
         holds: (D,) whether a disturbance holds from its sample to the next, or runs linearly.
@@ -111,7 +111,7 @@ def _transition(matrices, balances, holds, keeps, k, F, B):  # type: ignore[no-u
     for d in range(count):
         j, keep = balances[d], keeps[k, d]
         for r in range(n):
-            first, last = matrices[k, r, n + j], matrices[k, r, 2 * n + j]
+            first, last = matrices[k, r, n + j], matrices[k, r, n + 3 + j]
             if holds[d]:
                 F[r, n + d] = first + last
             else:
