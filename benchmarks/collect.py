@@ -154,8 +154,10 @@ def with_table(readme: str, table: Entry, store: dict[str, Entry]) -> str:
     """The README with its table of figures written anew; itself where it has no place for one."""
     if BEGIN not in readme or END not in readme:
         return readme
-    rows = ["| what | measured |", "| --- | --- |"]
-    rows += [f"| {row['what']} | {said(row, store)} |" for row in table.get("readme", ())]
+    rows = ["| what | measured | commit |", "| --- | --- | --- |"]
+    for row in table.get("readme", ()):
+        entry = store.get(row["study"], {})
+        rows.append(f"| {row['what']} | {said(row, store)} | {entry.get('commit', '')} |")
     before, _, rest = readme.partition(BEGIN)
     return "\n".join([before + BEGIN, *rows, END + rest.partition(END)[2]])
 
@@ -164,7 +166,7 @@ def said(row: Entry, store: dict[str, Entry]) -> str:
     """One figure of the README, from what its study printed."""
     entry = store.get(row["study"])
     if entry is None:
-        return "not run on this commit"
+        return "not run"
     match = re.search(row["find"], "\n".join(entry["lines"]), re.MULTILINE)
     return row["say"].format(*match.groups()) if match else "not printed by this commit"
 

@@ -117,5 +117,5 @@ def test_a_figure_is_taken_from_what_was_printed():
     row = {"study": "s", "find": r"rms +([\d.]+) rad/s", "say": "{} rad/s"}
     entry = {"lines": ["speed  rms  0.25 rad/s", "done"]}
     assert collect.said(row, {"s": entry}) == "0.25 rad/s"
-    assert collect.said(row, {}) == "not run on this commit"
+    assert collect.said(row, {}) == "not run"
     assert collect.said(row, {"s": {"lines": ["other"]}}) == "not printed by this commit"
