@@ -55,7 +55,7 @@ hil: .venv/everything
 sensor: .venv/everything
 	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
 	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --observer models/motors/mellah2016.toml --seed 1 \
-		--cycles 60 --iterations 40 -o models/sensors/mellah2016_observer.onnx
+		--cycles 20 --iterations 4 -o models/sensors/mellah2016_observer.onnx
 
 clean:
 	rm -rf .venv out dist build

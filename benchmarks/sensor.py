@@ -3,6 +3,8 @@
     python benchmarks/sensor.py                 all rows
     python benchmarks/sensor.py unseen wheels   some of them
     python benchmarks/sensor.py --quick         all rows, trained on little
+    python benchmarks/sensor.py worlds --count 400 --seed 1 [--cell noise=2-4] [SENSOR.onnx ...]
+                                                sensor files (the shipped ones) in worlds they were not made in
 
 Errors count from one second after the first voltage step. Every start temperature is unknown to every method. The bound's
 genie is told when and by how much the load jumps; no estimator knows that. The paper's row alone is judged by the largest
@@ -13,11 +15,13 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
-from sensor_rows.common import Size
+from sensor_rows.common import ROOT, Size
 from sensor_rows.motor import ambient, hot_restart, paper, unseen
 from sensor_rows.others import brush, magnet, node, tolerance
 from sensor_rows.wheels import fra233, wheels
+from sensor_rows.worlds import worlds
 
 ROWS: dict[str, Callable[[Size, bool], None]] = {
     row.__name__: row
@@ -25,7 +29,24 @@ ROWS: dict[str, Callable[[Size, bool], None]] = {
 }
 
 
+def _worlds(arguments: list[str]) -> int:
+    """`worlds`: sensor files on a plant that shares no code with the packages; 1 where one is confidently wrong."""
+    parser = argparse.ArgumentParser(prog="sensor.py worlds", description=_worlds.__doc__)
+    parser.add_argument("sensors", nargs="*", type=Path, metavar="SENSOR.onnx")
+    parser.add_argument("--count", type=int, default=400, help="of worlds")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--cell", action="append", default=[], metavar="FACTOR=CELL", help="chosen, not drawn"
+    )
+    chosen = parser.parse_args(arguments)
+    shipped = [ROOT / "models" / "sensors" / f"{name}.onnx" for name in ("mellah2016_observer", "mellah2016")]
+    wrong = [worlds(path, chosen.count, chosen.seed, chosen.cell) for path in chosen.sensors or shipped]
+    return int(any(wrong))
+
+
 def main() -> int:
+    if sys.argv[1:2] == ["worlds"]:
+        return _worlds(sys.argv[2:])
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

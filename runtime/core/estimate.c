@@ -60,6 +60,8 @@ int motorlens_batch_add(const motorlens_sensor *sensor, motorlens_batch *batch, 
 {
     for (int k = 0; k < sensor->features.features; k++)
         batch->features[k][batch->rows] = features[k];
+    if (sensor->envelope.distrust >= 0 && features[sensor->envelope.distrust] > 0.0)
+        quality |= MOTORLENS_QUALITY_UNFORETOLD;
     batch->quality[batch->rows++] = quality;
     return batch->rows == MOTORLENS_LANES;
 }

@@ -33,7 +33,8 @@ enum {
     MOTORLENS_QUALITY_STUCK = 1024,
     MOTORLENS_QUALITY_JUMP = 2048,
     MOTORLENS_QUALITY_ASSUMED_COLD = 4096,
-    MOTORLENS_QUALITY_LINE_LOST = 8192
+    MOTORLENS_QUALITY_LINE_LOST = 8192,
+    MOTORLENS_QUALITY_UNFORETOLD = 16384
 };
 
 /* One instant. `ambient_C` is NaN where it is not measured; `flags` are reasons that the source knows already. */
@@ -73,6 +74,7 @@ typedef struct {
     const motorlens_real *whitening; /* columns of the lower triangle L, one after another; NULL is the unit matrix */
     double limit;                    /* of the sum of squares of z; infinite is none */
     int32_t reads_z;                 /* whether the network does */
+    int32_t distrust;                /* the feature that is above 0 where the observer is not to be believed; -1 is none */
 } motorlens_envelope;
 
 enum {

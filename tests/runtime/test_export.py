@@ -130,10 +130,11 @@ def test_what_a_core_needs(proven):
     observed = name.endswith("observer")
     for core, (_, cost) in said.items():
         print(f"{name} {core}: {cost}")
-        assert cost.memory + cost.stack <= 4096
+        # An observer that finds its noise and watches itself takes more than the network it stands beneath.
+        assert cost.memory + cost.stack <= (6144 if "observer" in name else 4096)
         assert cost.update_most >= cost.update > 100 and cost.evaluate > 100
     cost = said["cortex-m4f"][1]
-    assert cost.flash <= 24 * 1024
+    assert cost.flash <= 40 * 1024
     assert cost.update <= (30_000 if observed else 8_000)
 
 

@@ -101,7 +101,8 @@ def test_a_pause_of_any_length_leaves_an_observer_that_works(trained, pause_s):
     assert np.isfinite(off).all() and np.isfinite(second).all()
     speed, rise = trained.outputs.index("speed"), trained.outputs.index("temperature")
     assert second[-1, speed] == pytest.approx(first[-1, speed], rel=0.05)
-    assert off[0, rise] < first[-1, rise] + 0.5
+    # The fall to 0 V lies within one step of the rest, 0.4 s long: what it moves is below 1 K.
+    assert off[0, rise] < first[-1, rise] + 1.0
     if pause_s > 3 * 3600:  # about 4 H/k0 = 70 min each
         assert abs(off[0, rise]) < 0.2 * first[-1, rise]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from motorlens_train.calibration import ENOUGH, noise_head
+from motorlens_train.calibration import noise_head
 from motorlens_train.cascade import Architecture
 from motorlens_train.data import Cycle, arrays, errors, scale_of
 from motorlens_train.features import feature_rows
@@ -23,8 +23,6 @@ from motorlens_train.trainer import Settings, Trained, train
 # Directions of the last-layer posterior that the exported sensor keeps: the least determined ones.
 DIRECTIONS = 12
 GOLDEN_ROWS = 24
-# An observer's standard deviation is not narrowed below this share of itself, and by few cycles not at all.
-SUREST = 0.7
 
 
 @dataclass(frozen=True)
@@ -42,6 +40,8 @@ class Recipe:
         settings: of the trainer.
         activation: of the hidden units.
         skips: cascade or plain feed-forward.
+        mends: whether a network may correct an observer: one whose motor is known exactly errs by chance alone, and what a
+            network says beyond the cycles it was trained on is worse than chance.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Recipe:
     settings: Settings = Settings()  # noqa: RUF009 -- frozen
     activation: str = "tanh"
     skips: bool = True
+    mends: bool = True
 
     @property
     def architecture(self) -> Architecture:
@@ -120,12 +121,12 @@ def build(
         calibration = [frame.relative(c) if frame else c for c in calibration]
         if frame:
             share = _share([c.y for c in calibration], [silent.evaluate(c.x)[0] for c in calibration])
+            share = share * recipe.mends
             silent = _worth(silent, share, share)
         read = [silent.read(c.x) for c in calibration]
         off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
         if frame:
-            least = SUREST if len(calibration) >= ENOUGH else 1.0
-            head = _scaled(np.concatenate(off) * trained.targets.deviation.numpy(), width, least)
+            head = _scaled(np.concatenate(off) * trained.targets.deviation.numpy(), width)
             head[:, 0] -= 2 * np.log(trained.targets.deviation.numpy())
         else:
             head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
@@ -138,7 +139,7 @@ def build(
             shape = [g - c for g, c in zip(guess, constant, strict=True)]
             share = _share(rest, shape)
             silent = _worth(silent, share, steady)
-            head = _scaled(share * np.concatenate(shape) - np.concatenate(rest), width, 1.0)
+            head = _scaled(share * np.concatenate(shape) - np.concatenate(rest), width)
         else:
             head = np.zeros((len(recipe.outputs), width))
             off_targets = np.concatenate(guess) - np.concatenate(y)
@@ -222,14 +223,14 @@ def _locked(sensor: Sensor, time: Array, voltage: Array) -> tuple[Array, Array]:
     return voltage, np.round(current, 4)
 
 
-def _scaled(errors: Array, width: int, least: float) -> Array:
+def _scaled(errors: Array, width: int) -> Array:
     """Noise head `[K, Z]` beside an observer, from errors `[N, K]` in its deviations on cycles not trained on.
 
-    The observer's deviation already follows the situation; it is scaled until the interval holds nineteen of twenty errors.
-    Never below `least` of itself: cycles that it follows with ease, or few of them, say little about a real motor.
+    The observer's deviation already follows the situation; it is scaled until the interval holds nineteen of twenty
+    errors, and never narrowed: cycles that it follows with ease say little about a real motor.
     """
     head = np.zeros((errors.shape[1], width))
-    head[:, 0] = 2 * np.log(np.maximum(np.quantile(np.abs(errors), 0.95, axis=0) / 1.96, least))
+    head[:, 0] = 2 * np.log(np.maximum(np.quantile(np.abs(errors), 0.95, axis=0) / 1.96, 1.0))
     return head
 
 
@@ -247,7 +248,10 @@ def _worth(sensor: Sensor, share: Array, steady: Array) -> Sensor:
         sensor.network, output=_single(sensor.network.output * torch.from_numpy(share)[:, None])
     )
     targets = replace(sensor.targets, mean=sensor.targets.mean * torch.from_numpy(steady))
-    return replace(sensor, network=network, targets=targets)
+    # As the correction shrinks, so does what is not known of it.
+    kept = torch.from_numpy(share**2)[:, None] if sensor.posterior.variances.ndim == 2 else 1.0
+    posterior = replace(sensor.posterior, variances=_single(sensor.posterior.variances * kept))
+    return replace(sensor, network=network, targets=targets, posterior=posterior)
 
 
 def _share(y: Sequence[Array], guess: Sequence[Array]) -> Array:

@@ -5,7 +5,7 @@ different cycles. The paper's own 50/25/25 split of one run is kept as `paper_sp
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,10 @@ class Cycle:
     voltage_V: tuple[float, float]
     current_A: tuple[float, float]
     rows: int
+
+    def part(self, which: NDArray[np.bool_]) -> "Cycle":
+        """Some of its rows, `which` (N,)."""
+        return replace(self, time_s=self.time_s[which], x=self.x[which], y=self.y[which])
 
 
 def target(recording: Recording, output: str, ambient: bool) -> Array:

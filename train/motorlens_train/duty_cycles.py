@@ -26,6 +26,11 @@ class Noise:
     voltage_V: float
     current_A: float
 
+    def of_any_size(self, rng: np.random.Generator) -> "Noise":
+        """From a clean supply to a bad one: times 0.05 to 10, evenly in the logarithm, the current's up to twice apart."""
+        size, apart = np.exp(rng.uniform(np.log([0.05, 0.5]), np.log([10.0, 2.0])))
+        return Noise(float(self.voltage_V * size), float(self.current_A * size * apart))
+
 
 @dataclass(frozen=True)
 class TrainingDuty(Scenario):

@@ -101,6 +101,13 @@ class Bank:
     observer: Observer | None = None
 
     @property
+    def distrust(self) -> int | None:
+        """The feature that is above 0 where the observer is not to be believed."""
+        if self.observer is None or "distrust" not in self.observer.outputs:
+            return None
+        return self.features.index(Feature("observer", filters=(self.observer.outputs.index("distrust"),)))
+
+    @property
     def signals(self) -> tuple[str, ...]:
         """Names of all signals that filters and features use, each once, in order of first use."""
         used = [f.signal for f in self.filters] + [f.signal for f in self.features if f.signal]

@@ -67,6 +67,7 @@ class Estimator:
             self.state = replace(self.state, observer=fresh_observer)
         self._gate = Gate(sensor.specification, period_s)
         self._outputs, self._scales = len(sensor.specification.outputs), scales(sensor.specification)
+        self._distrust = sensor.specification.distrust
         envelope = sensor.specification.envelope
         self._mean = None if envelope.mean is None else np.repeat(envelope.mean[:, None], TILE, axis=1)
         if envelope.cholesky is not None:
@@ -99,6 +100,8 @@ class Estimator:
             time_ns, quality = time_ns[rows], quality[rows]
         if any(outside.tolist()):
             mark(quality, outside, Quality.OUTSIDE_ENVELOPE)
+        if self._distrust >= 0:
+            mark(quality, features[self._distrust] > 0.0, Quality.UNFORETOLD)
         # One sum tells whether all are finite; where it overflows, each is asked.
         if not isfinite(np.vdot(values, sigma)):
             mark(quality, ~(np.isfinite(values) & np.isfinite(sigma)).all(axis=1), Quality.NOT_FINITE)

@@ -43,6 +43,7 @@ class Observer:
         document: as it stands in the file.
         outputs: how many numbers `read` gives.
         ambient_C: the ambient temperature where none is measured.
+        distrust: the output that is above 0 where the others are not to be believed; -1 is none.
         full_s: a window is full after so many seconds.
 
     Raises:
@@ -53,6 +54,7 @@ class Observer:
         self.document = document
         self.outputs = len(document["outputs"])
         self.ambient_C = float(document["ambient_C"])
+        self.distrust = int(document.get("distrust", -1))
         self.full_s = float(document["period_s"]) * _FULL
         self._size, self._window, self._time = (int(document[key]) for key in ("size", "window", "time"))
         if not (0 <= self._time < self._window <= self._size and self.full_s > 0):

@@ -27,6 +27,7 @@ class Quality(IntFlag):
     JUMP = 2048  # the current changed faster than the inductance allows
     ASSUMED_COLD = 4096  # the motor is taken to have started at ambient temperature, and nothing has shown it
     LINE_LOST = 8192  # nothing has come for seconds, or samples have only just begun to come again
+    UNFORETOLD = 16384  # the observer does not foretell the voltage, or nothing has shown yet that it does
 
 
 class OpcUa(IntEnum):
@@ -50,7 +51,7 @@ _CODES = (
     (Quality.LINE_LOST, OpcUa.BAD_NO_COMMUNICATION),
     (Quality.STALE, OpcUa.UNCERTAIN_LAST_USABLE),
     (Quality.OUTSIDE_ENVELOPE, OpcUa.UNCERTAIN_UNITS_EXCEEDED),
-    (Quality.SATURATED | Quality.JUMP, OpcUa.UNCERTAIN_NOT_ACCURATE),
+    (Quality.SATURATED | Quality.JUMP | Quality.UNFORETOLD, OpcUa.UNCERTAIN_NOT_ACCURATE),
     (Quality.BRIDGED | Quality.OVERLOAD, OpcUa.UNCERTAIN_SUBSTITUTE),
     (Quality.WARM_UP | Quality.RESTORED | Quality.ASSUMED_COLD, OpcUa.UNCERTAIN_INITIAL),
     (Quality.SIMULATED, OpcUa.UNCERTAIN_SIMULATED),

@@ -188,7 +188,7 @@ class _Printer:
 const motorlens_sensor {name}_sensor = {{
     {{{", ".join(gate)}}},
     {{{len(t.factors)}, {len(t.tau_s)}, {len(t.plus)}, {", ".join(features)}, {_double(t.resistance_ohm)}}},
-    {{{mean}, {whitening}, {_double(t.limit)}, {int(t.reads_z)}}},
+    {{{mean}, {whitening}, {_double(t.limit)}, {int(t.reads_z)}, {t.distrust}}},
     {{{", ".join(network)}}},
     {watching}}};
 """

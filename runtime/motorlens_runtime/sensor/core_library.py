@@ -172,7 +172,9 @@ FeatureTable = _structure(
     "FeatureTable", signals=u16, filters=u16, features=u16, first=pointer, second=pointer, filter_signal=pointer,
     tau_s=pointer, plus=pointer, minus=pointer, resistance_ohm=f64,
 )  # fmt: skip
-EnvelopeTable = _structure("EnvelopeTable", mean=pointer, whitening=pointer, limit=f64, reads_z=i32)
+EnvelopeTable = _structure(
+    "EnvelopeTable", mean=pointer, whitening=pointer, limit=f64, reads_z=i32, distrust=i32
+)
 ArgumentTable = _structure("ArgumentTable", weights=pointer, start=u16, columns=u16)
 StepTable = _structure(
     "StepTable", function=u8, arguments=u8, width=u16, argument=ArgumentTable * 2, low=real, high=real

@@ -100,6 +100,13 @@ class Specification:
         return round(3e9 * slowest) if heat and self.observer is None else 0
 
     @property
+    def distrust(self) -> int:
+        """The feature that is above 0 where the observer is not to be believed; -1 is none."""
+        output = -1 if self.observer is None else self.observer.distrust
+        places = [k for k, f in enumerate(self.features) if f.kind == "observer" and f.output == output]
+        return places[0] if places else -1
+
+    @property
     def first_dt_ns(self) -> int:
         """The step of the very first sample."""
         return round(1e9 / self.rate_Hz)

@@ -78,7 +78,7 @@ class ObserverTables:
 @dataclass(frozen=True, eq=False)
 class Tables:
     """F features, S filters, U signals, K outputs. `mean` (F,), `whitening` (F, F) lower triangular or None, `offset` (K,)
-    is added to the estimate last."""
+    is added to the estimate last; `distrust` is the feature above 0 where the observer is not to be believed, -1 none."""
 
     gate: GateLimits
     needs_ambient: bool
@@ -92,6 +92,7 @@ class Tables:
     whitening: Array | None
     limit: float
     reads_z: bool
+    distrust: int
     steps: tuple[NetworkStep, ...]
     estimate: Argument
     sigma: Argument
@@ -171,7 +172,7 @@ def tables_of(specification: Specification, folded: Folded, single: bool = False
         factors=feature_map.factors, filter_signals=feature_map.filter_signals,
         tau_s=tuple(f.tau_s for f in specification.filters),
         plus=tuple(map(placed, feature_map.plus)), minus=feature_map.minus,
-        mean=mean, whitening=whitening, limit=envelope.limit, reads_z=reads_z,
+        mean=mean, whitening=whitening, limit=envelope.limit, reads_z=reads_z, distrust=specification.distrust,
         steps=tuple(steps), estimate=_argument(estimate, F), sigma=argument(folded.sigma), offset=offset,
         observer=_observer(specification),
     )  # fmt: skip

@@ -21,12 +21,19 @@ Array = NDArray[np.float64]
 # half of their covariance.
 WINDOW = (
     "alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends",
-    "sum_steps", "sum_changes",
+    "sum_steps", "sum_changes", "sum_lean", "hold",
 )  # fmt: skip
 TIME = WINDOW.index("time")
-# Kept from window to window: logarithm of the odds that the load is changing, and the innovations' excess over what was
-# expected, an average over a hundred windows.
-MEMORY = ("odds", "restless")
+# Kept from window to window. `odds`: logarithm of the odds that the load is changing; `restless`: the innovations'
+# excess over
+# what was expected, an average over a hundred windows; the noise's `log_level` and `colour`, the last innovation's
+# `error` and
+# the `count` of windows behind them; the `slope` of innovations over the resistance; the voltage as it has `drive`n, and the
+# current it has `driven`; the smallest changes seen, as reciprocals; `drift` of the innovations, and what of it is `unseen`.
+MEMORY = (
+    "odds", "restless", "log_level", "colour", "error", "count", "slope", "drive", "driven", "fine_voltage", "fine_current",
+    "last_voltage", "drift", "unseen",
+)  # fmt: skip
 BRANCHES = ("steady", "changing")
 
 
@@ -61,6 +68,7 @@ class Observer:
             "ambient_C": self.ambient_C,
             **sizes,
             "outputs": list(self.outputs),
+            **({"distrust": self.outputs.index("distrust")} if "distrust" in self.outputs else {}),
         } | programs
 
     @staticmethod

@@ -1,0 +1,71 @@
+"""Sensor files in worlds they were not made in: the runtime itself, on a plant that shares no code with the packages."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+
+from helpers.worlds.judge import Verdict, table, verdict
+from helpers.worlds.world import Recorded, World, at, drawn, record
+
+from motorlens_runtime.estimate.core_estimator import open_estimator
+from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.progress import Progress
+from motorlens_runtime.sensor.sensor import Sensor, load_sensor
+
+# Rows that are judged in each world.
+ROWS = 1500
+_BLOCK = 65536
+
+
+def judged(sensor: Sensor, world: World, recorded: Recorded) -> Verdict:
+    """What the runtime publishes in a world, held against the truth."""
+    time_ns = np.round(recorded.time_s * 1e9).astype(np.int64)
+    estimator = open_estimator(sensor, 1 / float(world.factors["rate"]))
+    rows = np.unique(np.linspace(0, len(time_ns) - 1, ROWS).astype(np.intp))
+    values, sds, words = [], [], []
+    for first in range(0, len(time_ns), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        samples = Samples(
+            time_ns[part], recorded.voltage_V[part], recorded.current_A[part], recorded.ambient_C[part]
+        )
+        mine = rows[(rows >= first) & (rows < first + _BLOCK)] - first
+        found = estimator.push(samples, mine)
+        values.append(found.values)
+        sds.append(found.sigma)
+        words.append(found.quality)
+    word = np.concatenate(words)
+    return verdict(world, recorded, rows, np.concatenate(values), np.concatenate(sds), word == 0)
+
+
+def worlds(path: Path, count: int, seed: int, cells: Sequence[str] = ()) -> int:
+    """Judge a sensor file in `count` worlds drawn from a seed, some `FACTOR=CELL` chosen; the number it is confidently
+    wrong in.
+
+    Prints the table by factor, and one line for every world in which it is confidently wrong.
+    """
+    sensor = load_sensor(str(path))
+    chosen = dict(cell.split("=", 1) for cell in cells)
+    found, lines = [], []
+    with Progress(count, f"{path.stem} in worlds") as progress:
+        for number in range(count):
+            world = at(drawn(seed, number), **chosen)
+            one = judged(sensor, world, record(world))
+            found.append(one)
+            if one.confidently_wrong:
+                lines.append(_line(number, one))
+            progress.update(number + 1)
+    wrong = len(lines)
+    print(f"\n## {path.name} in {count} worlds of seed {seed}: confidently wrong in {wrong}\n{table(found)}")
+    print("\n".join(lines), flush=True)
+    return wrong
+
+
+def _line(number: int, one: Verdict) -> str:
+    return (
+        f"  world {number}: good {100 * one.good:.0f} %, rms {one.rms[0]:.3g} rad/s {one.rms[1]:.3g} K, wrong in "
+        f"{100 * one.wrong[0]:.0f} / {100 * one.wrong[1]:.0f} %: {', '.join(one.world.factors.values())}"
+    )

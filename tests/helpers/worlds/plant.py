@@ -1,0 +1,128 @@
+"""The paper's motor by a classical Runge-Kutta method (order 4), a brake that opposes the motion, and a speed controller."""
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# States.
+I, W, THETA = range(3)  # noqa: E741
+# The longest step of the integration: a fortieth of L/R, a fifth of the brake's fastest rate.
+LONGEST_S = 2.5e-4
+# The speed, rad/s, over which the brake's direction turns.
+TURNING = 0.3
+
+
+class Constants(NamedTuple):
+    """The motor: ohm, H, V s/rad, kg m2, N m s/rad, 1/K, W/K, s/rad, W s2/rad2, J/K; and a brush drop, V."""
+
+    R: float = 3.5
+    L: float = 0.034
+    ke: float = 0.9346
+    J: float = 0.0328
+    b: float = 0.00154
+    alpha: float = 0.004
+    k0: float = 4.33
+    kT: float = 0.0028
+    k_ir: float = 0.00667
+    H: float = 18e3
+    drop: float = 0.0
+
+
+class Loop(NamedTuple):
+    """A speed controller: V s/rad, V/rad, and its limit, V."""
+
+    proportional: float
+    integral: float
+    limit: float
+
+
+OPEN = Loop(0.0, 0.0, 0.0)
+
+
+@nb.njit(cache=True)
+def _rates(x, v, brake, torque, c, out):
+    i, w, theta = x[I], x[W], x[THETA]
+    r = c[0] * (1.0 + c[5] * theta)
+    lost = c[10] * i / np.sqrt(i * i + 0.01)
+    out[I] = (v - r * i - lost - c[2] * w) / c[1]
+    out[W] = (c[2] * i - c[4] * w - brake * np.tanh(w / TURNING) - torque) / c[3]
+    out[THETA] = (r * i * i + lost * i + c[8] * w * w - c[6] * (1.0 + c[7] * abs(w)) * theta) / c[9]
+
+
+@nb.njit(cache=True)
+def _run(time, voltage, held, brake, torque, reference, gains, x0, c, longest, states):
+    x, y = x0.copy(), np.empty(3)
+    k1, k2, k3, k4 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    integral = 0.0
+    states[0] = x
+    for n in range(len(time) - 1):
+        h = time[n + 1] - time[n]
+        if reference.size > 0:
+            error = reference[n] - x[W]
+            wanted = gains[0] * error + gains[1] * integral
+            voltage[n] = min(max(wanted, -gains[2]), gains[2])
+            if voltage[n] == wanted:
+                integral += error * h
+        v0 = voltage[n]
+        # A controller's voltage is held: the next one is not known yet.
+        v1 = v0 if held or reference.size > 0 else voltage[n + 1]
+        pieces = int(np.ceil(h / longest))
+        s = h / pieces
+        for p in range(pieces):
+            a = v0 + (v1 - v0) * p / pieces
+            b = v0 + (v1 - v0) * (p + 1) / pieces
+            m = 0.5 * (a + b)
+            _rates(x, a, brake[n], torque[n], c, k1)
+            for j in range(3):
+                y[j] = x[j] + 0.5 * s * k1[j]
+            _rates(y, m, brake[n], torque[n], c, k2)
+            for j in range(3):
+                y[j] = x[j] + 0.5 * s * k2[j]
+            _rates(y, m, brake[n], torque[n], c, k3)
+            for j in range(3):
+                y[j] = x[j] + s * k3[j]
+            _rates(y, b, brake[n], torque[n], c, k4)
+            for j in range(3):
+                x[j] += s / 6.0 * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j])
+        states[n + 1] = x
+    if reference.size > 0:
+        voltage[-1] = voltage[-2]
+
+
+def run(
+    constants: Constants, time_s: Array, voltage_V: Array, held: bool, brake_Nm: Array, torque_Nm: Array, start: Array,
+    reference: Array | None = None, loop: Loop = OPEN, longest_s: float = LONGEST_S,
+) -> tuple[Array, Array]:  # fmt: skip
+    """States (N, 3), current A, speed rad/s and rise K, at the instants; and the voltage (N,) as it was applied.
+
+    Args:
+        constants: the motor.
+        time_s: (N,) instants.
+        voltage_V: (N,); ignored with a reference.
+        held: whether the voltage stands between samples; else it runs linearly.
+        brake_Nm, torque_Nm: (N,) a brake that opposes the motion, a torque that acts whatever the motion; held.
+        start: (3,) states at the first instant.
+        reference: (N,) rad/s, for the speed controller.
+        loop: the controller.
+        longest_s: of the integration's steps.
+    """
+    states, applied = np.empty((len(time_s), 3)), voltage_V.astype(np.float64).copy()
+    wanted = np.empty(0) if reference is None else reference
+    _run(
+        time_s,
+        applied,
+        held,
+        brake_Nm,
+        torque_Nm,
+        wanted,
+        np.array(loop),
+        start,
+        np.array(constants),
+        longest_s,
+        states,
+    )
+    return states, applied

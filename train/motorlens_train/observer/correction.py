@@ -1,0 +1,195 @@
+"""What an observer does when a window is full: predict, compare with the voltage, correct."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from motorlens_train.observer.algebra import congruence, dot, exponential, mixed, probability
+from motorlens_train.observer.discrepancies import Window, told
+from motorlens_train.observer.file import MEMORY, WINDOW
+from motorlens_train.observer.layout import Layout
+from motorlens_train.observer.program import Program, Recorder, Value
+from motorlens_train.observer.signals import Signals, noise_memory, signals
+
+# Samples further apart than so many windows are a gap. No round number: which side of it a step falls on must not hang
+# on the last bit of a clock.
+GAP = 50.37
+# Odds of the branches are kept within exp(-+50).
+MOST_ODDS = 50.0
+# What the innovations of about sixteen windows have in common, beyond twice what chance gives: a load's jump before it is
+# noticed. It widens the speed.
+LAG = 0.125
+
+
+def correct(layout: Layout) -> Program:
+    """The program (ambient, state) -> state."""
+    r = Recorder()
+    ambient = r.input("ambient")
+    window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
+    memory = dict(zip(MEMORY, r.inputs(MEMORY), strict=True))
+    known = layout.sensitivities(r)
+    branches = layout.unpack(r)
+    # Over a gap nobody knows what was done to the motor.
+    gap = r.apply("le", GAP * layout.period, window["time"])
+    believed = 1.0 - gap
+    found = signals(layout, window, memory, gap)
+    share = probability(memory["odds"])
+    pace, settings = layout.motor.R_a0 * layout.motor.J / layout.motor.ke**2, layout.settings
+    enter = (window["time"] * (1 / (settings.jump_every * pace))).min(0.5)
+    leave = (window["time"] * (1 / (settings.jump_lasts * pace))).min(0.5)
+    before = share * (1.0 - leave) + (1.0 - share) * enter
+    still, changing = (
+        _advanced(layout, r, *mixed(weight, branches), window, ambient, gap, jumps, found)
+        for jumps, weight in (
+            (False, share * leave / (1.0 - before)),
+            (True, share * (1.0 - leave) / before),
+        )
+    )
+    odds = (before / (1.0 - before)).log() + (changing.log - still.log) * believed
+    odds = odds.max(-MOST_ODDS).min(MOST_ODDS)
+    share = probability(odds)
+
+    def both(a: Any, b: Any) -> Any:
+        return a + share * (b - a)
+
+    one, two = still.window, changing.window
+    K = [both(a, b) for a, b in zip(one.K, two.K, strict=True)]
+    filtered = Window(both(one.error, two.error), both(one.S, two.S), K, one.H, one.F, one.rates)
+    kept, hold, shift = told(layout, known, window, found, filtered, believed)
+    new = [([x + d for x, d in zip(s.x, shift, strict=True)], s.P) for s in (still, changing)]
+    surprise = both(still.surprise, changing.surprise) * believed
+    drift = memory["drift"] + believed * LAG * (filtered.error - memory["drift"])
+    after = found.memory | noise_memory(memory, both(still.own, changing.own), believed)
+    after |= {
+        "odds": odds,
+        "restless": memory["restless"] + (1 - math.exp(-1 / 100)) * (surprise - 1.0 - memory["restless"]),
+        "drift": drift,
+        "unseen": (drift * drift - filtered.S * (4 * LAG / (2 - LAG))).max(0.0),
+    }
+    x, _ = mixed(share, new)
+    plain = gap.select(window["current"], window["sum_current"] / window["time"])
+    mean = plain + window["sum_bends"] / window["time"]
+    rates, _ = layout.linearised(r, x, mean, window["voltage"], ambient)
+    # What brakes the rotor, as an acceleration: the next window's samples need it.
+    drag = (rates[layout.at["w"]] - mean * (layout.motor.ke / layout.motor.J)) * believed
+    begun = {name: window[name] for name in ("alive", "voltage", "current")}
+    begun |= {"current_start": window["current"], "drag": drag, "hold": hold}
+    fresh = [begun.get(name, 0.0) for name in WINDOW]
+    return r.program([*fresh, *(after[name] for name in MEMORY), *kept, *layout.pack(new)])
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One branch after a window: states, covariance, squared normalised innovation, logarithm of its likelihood, innovation
+    in deviations of white noise, and what `discrepancies` needs."""
+
+    x: list[Any]
+    P: list[list[Any]]
+    surprise: Any
+    log: Any
+    own: Any
+    window: Window
+
+
+def _advanced(
+    layout: Layout, r: Recorder, x: list[Any], P: list[list[Any]], window: Mapping[str, Value], ambient: Any, gap: Any,
+    changing: bool, found: Signals,
+) -> _Step:  # fmt: skip
+    """One branch over a window."""
+    n, T, believed = len(layout.states), window["time"], 1.0 - gap
+    V = gap.select(window["voltage"], window["sum_voltage"] / T) - (window["hold"] + 0.5) * found.lean
+    plain = gap.select(window["current"], window["sum_current"] / T)
+    mean = plain + window["sum_bends"] / T
+    square = gap.select(mean * mean, window["sum_square"] / T)
+    steps = window["sum_steps"]
+    rated, motor, settings = layout.rated, layout.motor, layout.settings
+
+    theta, w, load = layout.at["theta"], layout.at["w"], layout.at["load"]
+    R = layout.resistance(r, x)
+    limit = 1.5 * rated.speed_rad_s
+    # Over a gap the motor is taken to have gone on as it is found, a resting one to have rested; slow states follow for
+    # the whole time.
+    x[w] = gap.select(((V - R * mean) * (1 / motor.ke)).max(-limit).min(limit), x[w])
+    rates, A = layout.linearised(r, x, mean, V, ambient)
+    # The copper heats by the mean square of the current, not by the square of its mean.
+    rates[theta] = rates[theta] + R * (square - mean * mean) / motor.H
+    short = T.min(GAP * layout.period)
+    F: list[list[Any]] = [[0.0] * n for _ in range(n)]
+    ahead = list(x)
+    for j in range(n):
+        own, reach = exponential(A[j][j], short if j in (w, load) else T)
+        F[j] = [A[j][k] * reach * believed if k != j else own for k in range(n)]
+        ahead[j] = x[j] + reach * rates[j]
+    # A slope that the load has turned tells nothing of the winding: as the current goes, so does the error of the speed that
+    # goes with the winding's (w + R i / ke is what is seen), and where the slope would say otherwise, a jump of the
+    # load, late noticed, passes for a warmer or colder winding.
+    turned = found.turned * layout.per_kelvin(x)
+    before = P[w][theta]
+    for j in range(n):
+        if j != w:
+            P[w][j] = P[j][w] = P[w][j] - turned * P[theta][j]
+    P[w][w] = P[w][w] - turned * before - turned * P[w][theta]
+    pace = motor.R_a0 * motor.J / motor.ke**2
+    walk = short * (settings.load_walk * rated.torque_Nm) ** 2
+    if changing:
+        walk = walk + short * (settings.load_jump * rated.torque_Nm) ** 2 / pace
+    walk = walk + gap * rated.torque_Nm**2
+    # Near rest the brake takes what the motor's torque asks for: what was known of the load no longer holds.
+    near = x[w].abs() <= settings.rest * rated.speed_rad_s
+    torque = ((plain.abs() - found.level.sqrt() * (3 * layout.i_sd)).max(0.0) * (2 * motor.ke)).min(
+        layout.sd[load]
+    )
+    P[load][load] = near.select(P[load][load].max(torque * torque), P[load][load])
+    # It changes at any time of the window: half of it before, half after.
+    P[load][load] = P[load][load] + 0.5 * walk
+    P = congruence(F, P)
+    warming = motor.k0 * (1 + motor.kT * rated.speed_rad_s) * rated.rise_K / motor.H
+    unseen = gap.select((T * T * warming**2).min(layout.sd[theta] ** 2), 0.0)
+    unsure = (mean - plain) * settings.bend_sd
+    shaken = unsure * T * (motor.ke / motor.J)
+    P[w][w] = (
+        P[w][w]
+        + steps * (motor.ke * layout.i_sd / motor.J) ** 2
+        + shaken * shaken
+        + (1e-5 * rated.speed_rad_s) ** 2
+    )
+    P[theta][theta] = P[theta][theta] + T.min(3600.0) * settings.thermal_walk**2 + unseen
+    middle = list(ahead)
+    # The mean speed of a window in which the current, and so the acceleration, changes.
+    sag = T * (window["current"] - window["current_start"]) * (motor.ke / motor.J / 12)
+    middle[w] = 0.5 * (ahead[w] + x[w]) - sag
+    balance, _ = layout.balance(r, middle, mean, V, ambient)
+    _, slopes = layout.balance(r, middle, found.weighing, V, ambient)
+    error = balance - (window["current"] - window["current_start"]) * motor.L / T
+    H = [-slope for slope in slopes]
+    # The mean speed, seen from the speed at the end: what drives it reached it halfway.
+    H = [H[j] - (0.5 * H[w] * F[w][j] if j != w else 0.0) for j in range(n)]
+    white = (
+        found.level
+        * (steps * (layout.v_sd**2) + R * R * steps * layout.i_sd**2 + 2 * (motor.L * layout.i_sd) ** 2)
+        / (T * T)
+    )
+    noise = (
+        found.colour * white + found.coarse + window["sum_changes"] / (T * T) + (settings.model_sd * rated.voltage_V) ** 2
+        + R * unsure * R * unsure
+        + (sag * (motor.ke * settings.bend_sd)) * (sag * (motor.ke * settings.bend_sd))
+    )  # fmt: skip
+    PH = [dot(P[j], H) for j in range(n)]
+    S = dot(H, PH) + noise
+    # The mean over a gap says nothing about its end.
+    K = [PH[j] / S * believed for j in range(n)]
+    new = [ahead[j] + K[j] * error for j in range(n)]
+    for a, b in layout.pairs:
+        P[a][b] = P[a][b] - K[a] * PH[b]
+    P[load][load] = P[load][load] + 0.5 * walk
+    P[w][w] = P[w][w] + gap * rated.speed_rad_s**2
+    for j in range(n):
+        P[j][j] = P[j][j].max(1e-14 * layout.sd[j] ** 2) if layout.sd[j] else P[j][j]
+    new[theta] = new[theta].max(-rated.rise_K).min(4 * rated.rise_K)
+    after = (window["voltage"] - R * window["current"]) * (1 / motor.ke)
+    fastest = 4 * rated.speed_rad_s
+    new[w] = gap.select(after, new[w]).max(-fastest).min(fastest)
+    surprise = error * error / S
+    own = error / (S - (found.colour - 1.0) * white).sqrt()
+    return _Step(new, P, surprise, (surprise + S.log()) * -0.5, own, Window(error, S, K, H, F, rates))

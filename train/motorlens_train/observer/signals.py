@@ -1,0 +1,138 @@
+"""What the observer finds of its signals while it runs, window by window: their noise, the slope that weighs an
+innovation, the steps of the converters. None of it is assumed; the settings only say where the search begins.
+
+A square holds its noise's square. So whatever is multiplied with an innovation (the current in R(theta) i, a change of the
+voltage or of the current) enters by what of it stands above its noise, `above`: averaged, two noises in one product would
+heat or cool a winding without end (errors in variables; Söderström 2007, doi:10.1016/j.automatica.2006.11.025).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from motorlens_train.observer.layout import Layout
+from motorlens_train.observer.program import Value
+
+# A value counts by d^2 / (d^2 + (10 sd)^2): of pure noise 3 in 100 are left.
+ABOVE = 100.0
+# The slope's average takes in at least this share of a window: a second's memory at 10 ms.
+LEAST = 0.01
+# What the voltage drives: currents beyond this share of the rated one.
+DRIVEN = 0.05
+# The level of the noise is an average over so many windows, the settings' level at the start worth 8 of them.
+WINDOWS, PRIOR = 42.0, 8.0
+# The mean of the logarithm of a squared normal deviate is -1.2704 (-ln 2 minus Euler's constant); one window moves the
+# average by at most exp(4), and it stays within a hundredth and a hundred times (in sd) of where it began.
+LOG_SQUARE, MOST_LOG, RANGE = 1.2704, 4.0, 9.2
+# Coloured noise weighs (1 + c)/(1 - c) times as much as white: c is at most this.
+MOST_COLOUR = 0.8
+# Until a change has shown a converter's step, it may be as large as this many of the settings' deviations.
+COARSEST = 3.5
+
+
+def above(value: Any, variance: Any) -> Any:
+    """What of a value stands above noise of a variance."""
+    square = value * value
+    return value * (square / (square + variance * ABOVE + 1e-12))
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Of one window.
+
+    Attributes:
+        level: variance of white noise, in terms of the settings'.
+        colour: factor by which it weighs more, being coloured.
+        share: sum of squared steps over the squared length: 1 / samples.
+        slope: mean of the current, A; `weighing` is what of it is beyond its noise and weighs an innovation.
+        free: share of the current's change that the voltage drives.
+        turned: change of the slope that the load made, over ke; see `correction`.
+        lean: by how much the mean voltage is less if it stood between samples than if it ran linearly, V.
+        coarse: variance that rounding in the converters adds to a window's mean voltage.
+        memory: what is kept for the next window, by name.
+    """
+
+    level: Any
+    colour: Any
+    share: Any
+    slope: Any
+    weighing: Any
+    free: Any
+    turned: Any
+    lean: Any
+    coarse: Any
+    memory: dict[str, Any]
+
+
+def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Value], gap: Any) -> Signals:
+    """What this window shows; the noise is what the windows before have shown."""
+    m, T = layout.motor, window["time"]
+    level, share = memory["log_level"].exp(), window["sum_steps"] / (T * T)
+    volts = gap.select(window["voltage"], window["sum_voltage"] / T)
+    moved = above(volts - memory["drive"], share * (layout.v_sd**2) * level)
+    # The current that the voltage's changes drive, and that dies away as the rotor follows.
+    decay = (T * (-(m.ke**2) / (m.R_a0 * m.J))).exp()
+    driven = (memory["driven"] + moved * (1 / m.R_a0)) * decay
+    free = driven * driven / (driven * driven + (DRIVEN * layout.rated.current_A) ** 2)
+    spread = share * (layout.i_sd**2) * level
+    away = window["sum_current"] / T - memory["slope"]
+    square = away * away
+    followed = away * (square / (square + spread * ABOVE + 1e-12)).max(LEAST)
+    slope = memory["slope"] + followed
+    # A current that may be noise says nothing about the resistance.
+    limit = spread.sqrt() * 3.0
+    weighing, weighed = (y - y.min(limit).max(-limit) for y in (slope, memory["slope"]))
+    lean = gap.select(0.0, window["sum_lean"] / T)
+    coarse, kept = _coarse(layout, window, memory, level)
+    kept |= {"drive": memory["drive"] + moved, "driven": driven, "slope": slope}
+    colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
+    turned = (1.0 - free) * (weighing - weighed) * (1 / m.ke)
+    return Signals(level, colour, share, slope, weighing, free, turned, lean, coarse, kept)
+
+
+def noise_memory(memory: Mapping[str, Value], error: Any, believed: Any) -> dict[str, Any]:
+    """Level and colour of the noise after an innovation `error`, in its own white deviations.
+
+    The level follows the mean logarithm, which an outlier moves no more than a small one.
+    """
+    count = (memory["count"] + 1.0).min(WINDOWS)
+    pace = believed / (count + PRIOR)
+    larger = ((error * error + 1e-9).log() + LOG_SQUARE).max(-MOST_LOG).min(MOST_LOG)
+    product = (error * memory["error"]).max(-MOST_LOG).min(MOST_LOG)
+    return {
+        "log_level": (memory["log_level"] + pace * larger).max(-RANGE).min(RANGE),
+        "colour": (memory["colour"] + pace * (product - memory["colour"])).max(0.0).min(MOST_COLOUR),
+        "error": error * believed,
+        "count": count,
+    }
+
+
+def _coarse(
+    layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Value], level: Any
+) -> tuple[Any, dict[str, Any]]:
+    """Variance that converters add, and the smallest changes seen (as reciprocals), which are their steps q.
+
+    Where noise does not carry a signal over a step, what is lost in rounding, q^2 / 12, stays for as long as the signal
+    stands; the motor settles with its mechanical time constant tau, so it weighs as 2 tau / T windows' worth of white
+    noise. Of noise sd the share exp(-2 pi^2 sd^2 / q^2) of it is left (Widrow and Kollar 2008,
+    Quantization Noise, ch. 4). L (i_end - i_start) / T holds two rounded currents, each with q^2 / 12.
+    """
+    T, m = window["time"], layout.motor
+    lasts = 2 * m.R_a0 * m.J / m.ke**2 / layout.period
+    total: Any = 0.0
+    kept = {"last_voltage": window["voltage"] * 1.0}
+    for channel, before, sd, weight in (
+        ("voltage", memory["last_voltage"], layout.v_sd, 1.0),
+        ("current", window["current_start"], layout.i_sd, m.R_a0),
+    ):
+        change = (window[channel] - before).abs()
+        finest = memory[f"fine_{channel}"].max((1e-9 <= change).select(1.0 / change.max(1e-9), 0.0))
+        kept[f"fine_{channel}"] = finest
+        step = 1.0 / finest.max(1 / (COARSEST * sd))
+        square = step * step
+        left = square * (level * (-2 * math.pi**2 * sd**2) / square).max(-50.0).exp()
+        total = total + left * (lasts * weight**2 / 12)
+        if channel == "current":
+            total = total + left * (m.L**2 / 6) / (T * T)
+    return total, kept
