@@ -316,16 +316,16 @@ def held_out_errors(
     """
     keys = found.prior.keys
     blocks = layout(runs, found.whiteners)
-    # Where a run started is told by its first block alone.
-    starts = [k for k, key in enumerate(keys) if key.startswith(INITIAL)]
+    # Where a run started is told by its first block alone, and stays.
+    moving = [key for key in keys if not key.startswith(INITIAL)]
+    at = [keys.index(key) for key in moving]
     errors = [one.residual.copy() for one in columns]
     for fold in range(folds):
         kept = np.array([k >= len(blocks) or k % folds != fold for k in range(len(evidence.blocks))])
         part = Evidence(evidence.names, evidence.blocks[kept], evidence.samples[kept], evidence.power)
-        move, _ = part.solve(keys)
-        move[starts] = 0.0
+        move, _ = part.solve(moving)
         for r, rows in (block for k, block in enumerate(blocks) if k % folds == fold):
-            errors[r][rows] -= columns[r].values[rows][:, :, : len(keys)] @ move
+            errors[r][rows] -= columns[r].values[rows][:, :, at] @ move
     return errors
 
 
