@@ -20,7 +20,7 @@ from scipy.special import fdtrc
 Array = NDArray[np.float64]
 
 RESIDUAL = "residual"
-# A column this much of which is explained by those already accepted is their copy.
+# A column of which rounding alone is left.
 COPY = 1e-9
 
 
@@ -32,13 +32,16 @@ class Evidence:
         names: the columns; the last is `RESIDUAL`.
         blocks: (B, M, M) sums over each block of time.
         samples: (B,) how many samples are in each block.
-        power: (M,) diagonal of the sums before anything was projected out, the scale for `COPY`.
+        power: (M,) diagonal of the sums before anything was projected out, the scale for `copy`.
+        copy: a column of which no more than this share is left once others explained it is their copy: what is left may be
+            rounding, or noise of the measured inputs.
     """
 
     names: tuple[str, ...]
     blocks: Array
     samples: Array
     power: Array
+    copy: float = COPY
 
     @classmethod
     def of(cls, names: Sequence[str], blocks: Array, samples: Array) -> "Evidence":
@@ -85,12 +88,14 @@ class Evidence:
         cross = self.blocks[:, at[:, None], rest]
         half = weights.T @ (0.5 * inner @ weights - cross)
         left = self.blocks[:, rest[:, None], rest] + half + half.transpose(0, 2, 1)
-        return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest])
+        return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest], self.copy)
 
     def of_columns(self, names: Sequence[str]) -> "Evidence":
         """Of some columns alone, with the residual."""
         at = np.append(self.index(names), len(self.names) - 1)
-        return Evidence((*names, RESIDUAL), self.blocks[:, at[:, None], at], self.samples, self.power[at])
+        return Evidence(
+            (*names, RESIDUAL), self.blocks[:, at[:, None], at], self.samples, self.power[at], self.copy
+        )
 
     def split(self, name: str, parts: NDArray[np.bool_]) -> "Evidence":
         """With `name` in parts of the time alone, zero elsewhere, as further columns `name/0`, `name/1` and so on.
@@ -108,7 +113,7 @@ class Evidence:
         made = taken.transpose(0, 2, 1) @ self.blocks @ taken
         made = made[:, order][:, :, order]
         names = (*self.names[:-1], *(f"{name}/{k}" for k in range(count)), RESIDUAL)
-        return Evidence(names, made, self.samples, np.diagonal(made.sum(axis=0)).copy())
+        return Evidence(names, made, self.samples, np.diagonal(made.sum(axis=0)).copy(), self.copy)
 
     def explained_by(self, names: Sequence[str], coefficient: Array) -> "Evidence":
         """With a residual from which some columns, times their coefficients (k,), were taken; the columns stay."""
@@ -190,7 +195,7 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     total = left.total
     information = total[np.ix_(at, at)]
     free = float(np.min(np.diagonal(information) / np.maximum(left.power[at], 1e-300)))
-    if free < COPY or not np.isfinite(information).all():
+    if free < left.copy or not np.isfinite(information).all():
         return None
     inverse = _inverse(information)
     coefficient = inverse @ total[at, -1]
@@ -235,7 +240,7 @@ def statistics(left: Evidence, given: Sequence[str] = ()) -> Array:
     last = left.blocks[:, :, -1] + moved[:, :, -1] @ weights + weights[:, -1] @ moved
     diagonal, last = diagonal[:, :-1], last[:, :-1]
     power = diagonal.sum(axis=0)
-    known = power > COPY * np.maximum(left.power[:-1], 1e-300)
+    known = power > left.copy * np.maximum(left.power[:-1], 1e-300)
     known[at] = False
     safe = np.where(known, power, 1.0)
     coefficient = last.sum(axis=0) / safe

@@ -26,6 +26,7 @@ from motorlens_physics.estimate.model import (
     through_sensors,
     with_sensor,
 )
+from motorlens_physics.estimate.noise import VOLTAGE
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.estimate.whitening import Whitener
 from motorlens_physics.sensitivity import INITIAL, Linearisation, linearise
@@ -33,7 +34,7 @@ from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
 from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.candidates import Candidate, decoys
-from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
+from motorlens_workbench.evidence import COPY, RESIDUAL, Evidence, statistics
 
 Array = NDArray[np.float64]
 
@@ -243,7 +244,21 @@ def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequ
             flat = part[kept[rows]].reshape(-1, len(names) + 1)
             blocks.append(flat.T @ flat)
             samples.append(float(kept[rows].sum()))
-    return Evidence.of(names, np.array(blocks), np.array(samples))
+    return replace(Evidence.of(names, np.array(blocks), np.array(samples)), copy=noise_share(runs))
+
+
+def noise_share(runs: Sequence[Run]) -> float:
+    """The largest share of a run's voltage, from sample to sample, that is noise of its sensor.
+
+    Columns are taken along the voltage as it was measured, corrected as well as can be: of a column that others explain but
+    for this share, what is left may be that noise.
+    """
+    shares = [COPY]
+    for run in runs:
+        if run.noise is not None:
+            bends = float(np.mean(np.diff(run.inputs.voltage_V) ** 2))
+            shares.append(2 * float(run.noise.disturbances[VOLTAGE]) / max(bends, 1e-300))
+    return min(max(shares), 1.0)
 
 
 # How many columns the noise model may first take out, and the statistic that entitles a column to it.
