@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.prior import RELATIVE_SD
 from motorlens_workbench.bend import Bend
@@ -173,6 +174,7 @@ def _detectable(now: Look, test: Test) -> bool:
 def limits(found: Finding) -> list[str]:
     """What the recordings cannot tell, in words."""
     said = [one.sentence for one in found.dead]
+    said += [delay.sentence for delay in delays_of(found.base, found.runs)]
     channels = {channel for run in found.runs for channel in run.channels}
     known = {quantity for run in found.runs for quantity in run.known}
     if "temperature" not in channels:

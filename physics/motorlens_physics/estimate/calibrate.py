@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.delays import Delay, delays_of
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.prior import Prior, around, base_prior
@@ -95,6 +96,11 @@ class Calibration:
         """Of each recording, channel to the standard deviation of its residuals."""
         return tuple({c: float(np.std(e)) for c, e in one.items()} for one in self.residuals)
 
+    @property
+    def delays(self) -> tuple[Delay, ...]:
+        """Channels that come late, or early."""
+        return delays_of(self.estimate.fit, self.runs)
+
     def as_json(self, recordings: Sequence[Recording]) -> dict[str, object]:
         """For the command's JSON."""
         said = self.findings
@@ -117,6 +123,10 @@ class Calibration:
             ],
             "load_torque_Nm": loads,
             "between_rows": ["hold" if held else "linear" for held in self.held],
+            "delays": [
+                {"recording": d.recording, "channel": d.channel, "value_s": d.value_s, "sd_s": d.sd_s}
+                for d in self.delays
+            ],
             "outliers": self.outliers,
             "converged": self.converged,
         }  # fmt: skip

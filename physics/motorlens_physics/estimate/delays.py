@@ -6,6 +6,8 @@ correlation method for estimation of time delay, doi:10.1109/TASSP.1976.1162830.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +16,15 @@ from scipy.signal import correlate
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.run import Run
 
+if TYPE_CHECKING:
+    from motorlens_physics.estimate.fit import Fit
+
 Array = NDArray[np.float64]
 
 # The longest delay that is looked for, as a share of the recording.
 LONGEST = 0.1
+# A skew by more than this share of a sample is a delay by a whole one, and said, if by this many standard deviations.
+MOST_OF_A_SAMPLE, SURE = 0.75, 4.0
 # Gain in log likelihood, twice, that a delay must bring: the 1 % level of the best of as many lags as there are.
 LEVEL = 6.6
 
@@ -68,12 +75,43 @@ def lag_of(measured: Array, shown: Array, there: NDArray[np.bool_]) -> int:
     return int(lags[best]) if abs(lags[best]) > 1 and won > LEVEL + 2 * np.log(len(lags)) else 0
 
 
+@dataclass(frozen=True)
+class Delay:
+    """By how much a channel of a recording comes after its voltage, with its standard deviation, in seconds."""
+
+    recording: str
+    channel: str
+    value_s: float
+    sd_s: float
+
+    @property
+    def sentence(self) -> str:
+        """For the reader."""
+        way = "after" if self.value_s > 0 else "before"
+        late = f"{abs(self.value_s):.4g} +- {self.sd_s:.2g} s {way} its voltage"
+        return f"{self.recording}: {self.channel} comes {late}; it was moved by as much. A lag of its sensor looks alike."
+
+
+def delays_of(found: "Fit", runs: Sequence[Run]) -> tuple[Delay, ...]:
+    """The channels of fitted runs that are late, or early, beyond doubt and by most of a sample."""
+    sd = found.sd()
+    late = []
+    for r, run in enumerate(runs):
+        for channel in run.channels:
+            skew = found.model.own[r].get(f"skew.{channel}", 0.0)
+            value = run.late.get(channel, 0) * run.period_s + skew
+            spread = sd.get(f"skew.{channel}@{r}", 0.0)
+            if abs(value) > max(MOST_OF_A_SAMPLE * run.period_s, SURE * spread):
+                late.append(Delay(run.name, channel, value, spread))
+    return tuple(late)
+
+
 def gain(before: Sequence[Array], after: Sequence[Array]) -> float:
     """Twice the gain in logarithmic likelihood from residuals (rows, C) of each run to others of the same run."""
     total = 0.0
     for one, other in zip(before, after, strict=True):
         for c in range(one.shape[1]):
-            ratio = np.mean(one[:, c] ** 2) / max(float(np.mean(other[:, c] ** 2)), 1e-300)
+            ratio = float(np.mean(one[:, c] ** 2)) / max(float(np.mean(other[:, c] ** 2)), 1e-300)
             total += _independent(other[:, c]) * float(np.log(max(ratio, 1e-300)))
     return total
 
