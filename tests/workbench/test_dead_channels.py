@@ -12,7 +12,6 @@ from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.dead_channels import dead_channels, without
-from motorlens_workbench.diagnosis import base_fit
 
 MELLAH = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "hidden_effect" / "regbot.toml"
@@ -21,8 +20,7 @@ ROBOTS = (1, 3, 4, 5, 10)
 
 def dead(file: MotorFile, recording: Recording) -> list[tuple[str, float]]:
     run = prepare(recording, file)
-    base, used = base_fit(file, (run,))
-    return [(one.channel, one.gain) for one in dead_channels(file, base, used)]
+    return [(one.channel, one.gain) for one in dead_channels(file, (run,))]
 
 
 def robot(number: int, side: str) -> Recording:
@@ -81,8 +79,7 @@ def test_a_sensor_that_hangs_is_found_by_its_lack_of_noise(noise: float, until: 
     if hung:
         assert not run.valid[3000:].any()
         assert run.valid[:3000].all()
-        base, used = base_fit(file, (run,))
-        (found,) = dead_channels(file, base, used)
+        (found,) = dead_channels(file, (run,))
         assert (found.name, found.hung) == ("speed_sensor_gain", hung)
         assert without(used, [found])[0].channels == run.channels
 
@@ -105,8 +102,7 @@ def test_a_signal_replaced_by_noise_is_dead_and_one_scaled_or_shifted_is_not() -
 def test_a_dead_channel_is_left_out_of_its_own_recording_only() -> None:
     file = read_motor_file(EXAMPLE)
     runs = tuple(prepare(robot(number, "R"), file) for number in (4, 10))
-    base, used = base_fit(file, runs)
-    found = dead_channels(file, base, used)
+    found = dead_channels(file, runs)
     assert [(one.run, one.channel, one.name) for one in found] == [(1, "current", "current_sensor_gain")]
     assert "robot_10" in found[0].sentence
     assert [run.channels for run in without(runs, found)] == [("current", "speed"), ("speed",)]

@@ -1,5 +1,6 @@
 """The block algebra against plain least squares on the stacked columns, and its tests against their nominal rates."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -70,9 +71,7 @@ def test_wrong_shapes_scatter_for_the_right_one_and_for_noise(size, noisy, least
     residual = size * columns[:, 0] + np.where(loud, noisy, 1.0) * rng.standard_normal(6400)
     left = evidence_of(columns, residual, 64)
     labels = [[f"it#{v}.0", f"it#{v}.1"] for v in range(6)]
-    left = Evidence(
-        (*(label for pair in labels for label in pair), left.names[-1]), left.blocks, left.samples, left.power
-    )
+    left = replace(left, names=(*(label for pair in labels for label in pair), left.names[-1]))
     candidate = SimpleNamespace(columns=lambda: labels)
     scores = [score(left, pair) for pair in labels]
     assert least <= usual_scatter(left, candidate, scores) < most

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.fit import Fit, fit
 from motorlens_physics.estimate.model import predict
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.estimate.shaft import followed
@@ -74,13 +74,11 @@ def investigate(
         ModelError: the model cannot be simulated at all.
     """
     runs = prepare_all(recordings, file)
-    say("fitting the base parameters")
-    base, used = base_fit(file, runs)
-    dead = dead_channels(file, base, used)
+    dead = dead_channels(file, runs)
     if dead:
         say(f"leaving out {', '.join(f'{one.channel} of {one.recording} ({one.state})' for one in dead)}")
-        base, used = base_fit(file, without(runs, dead))
-    runs = used
+    say("fitting the base parameters")
+    base, runs = base_fit(file, without(runs, dead))
     say("screening all effects and sensor faults")
     first = look(base, runs, own)
 
@@ -163,6 +161,7 @@ def base_fit(
         trajectory, y = predict(found.fit.model, run, r)
         followed_runs.append(followed(run.leaning(y) if leans else run, trajectory, y))
     if leans or turned:
-        again = estimate(file, followed_runs, begin=found.fit.model)
-        return again.fit, again.runs
-    return found.fit, tuple(followed_runs)
+        found = estimate(file, followed_runs, begin=found.fit.model)
+        followed_runs = list(found.runs)
+    # All that is missing shall be in what is left, a slow torque too: along the same inputs, without one.
+    return fit(found.fit.model, followed_runs, found.fit.prior), tuple(followed_runs)

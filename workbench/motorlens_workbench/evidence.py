@@ -33,21 +33,21 @@ class Evidence:
         blocks: (B, M, M) sums over each block of time.
         samples: (B,) how many samples are in each block.
         power: (M,) diagonal of the sums before anything was projected out, the scale for `copy`.
-        copy: a column of which no more than this share is left once others explained it is their copy: what is left may be
-            rounding, or noise of the measured inputs.
+        noise: (M,) what noise of the measured inputs puts into the sums: a column of which no more is left once others
+            explained it is their copy.
     """
 
     names: tuple[str, ...]
     blocks: Array
     samples: Array
     power: Array
-    copy: float = COPY
+    noise: Array
 
     @classmethod
     def of(cls, names: Sequence[str], blocks: Array, samples: Array) -> "Evidence":
         """From raw sums; the residual's column is the last."""
         total = blocks.sum(axis=0)
-        return cls((*names, RESIDUAL), blocks, samples, np.diagonal(total).copy())
+        return cls((*names, RESIDUAL), blocks, samples, np.diagonal(total).copy(), np.zeros(len(total)))
 
     def index(self, names: Sequence[str]) -> NDArray[np.intp]:
         """Positions of columns."""
@@ -88,13 +88,15 @@ class Evidence:
         cross = self.blocks[:, at[:, None], rest]
         half = weights.T @ (0.5 * inner @ weights - cross)
         left = self.blocks[:, rest[:, None], rest] + half + half.transpose(0, 2, 1)
-        return Evidence(tuple(self.names[k] for k in rest), left, self.samples, self.power[rest], self.copy)
+        return Evidence(
+            tuple(self.names[k] for k in rest), left, self.samples, self.power[rest], self.noise[rest]
+        )
 
     def of_columns(self, names: Sequence[str]) -> "Evidence":
         """Of some columns alone, with the residual."""
         at = np.append(self.index(names), len(self.names) - 1)
         return Evidence(
-            (*names, RESIDUAL), self.blocks[:, at[:, None], at], self.samples, self.power[at], self.copy
+            (*names, RESIDUAL), self.blocks[:, at[:, None], at], self.samples, self.power[at], self.noise[at]
         )
 
     def split(self, name: str, parts: NDArray[np.bool_]) -> "Evidence":
@@ -113,7 +115,10 @@ class Evidence:
         made = taken.transpose(0, 2, 1) @ self.blocks @ taken
         made = made[:, order][:, :, order]
         names = (*self.names[:-1], *(f"{name}/{k}" for k in range(count)), RESIDUAL)
-        return Evidence(names, made, self.samples, np.diagonal(made.sum(axis=0)).copy(), self.copy)
+        noise = np.concatenate(
+            [self.noise[:-1], np.full(count, self.noise[self.names.index(name)]), self.noise[-1:]]
+        )
+        return Evidence(names, made, self.samples, np.diagonal(made.sum(axis=0)).copy(), noise)
 
     def explained_by(self, names: Sequence[str], coefficient: Array) -> "Evidence":
         """With a residual from which some columns, times their coefficients (k,), were taken; the columns stay."""
@@ -195,7 +200,8 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     total = left.total
     information = total[np.ix_(at, at)]
     free = float(np.min(np.diagonal(information) / np.maximum(left.power[at], 1e-300)))
-    if free < left.copy or not np.isfinite(information).all():
+    noisy = bool(np.any(np.diagonal(information) <= left.noise[at]))
+    if free < COPY or noisy or not np.isfinite(information).all():
         return None
     inverse = _inverse(information)
     coefficient = inverse @ total[at, -1]
@@ -240,7 +246,7 @@ def statistics(left: Evidence, given: Sequence[str] = ()) -> Array:
     last = left.blocks[:, :, -1] + moved[:, :, -1] @ weights + weights[:, -1] @ moved
     diagonal, last = diagonal[:, :-1], last[:, :-1]
     power = diagonal.sum(axis=0)
-    known = power > left.copy * np.maximum(left.power[:-1], 1e-300)
+    known = power > np.maximum(COPY * np.maximum(left.power[:-1], 1e-300), left.noise[:-1])
     known[at] = False
     safe = np.where(known, power, 1.0)
     coefficient = last.sum(axis=0) / safe

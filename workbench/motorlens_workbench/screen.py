@@ -34,7 +34,7 @@ from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
 from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.candidates import Candidate, decoys
-from motorlens_workbench.evidence import COPY, RESIDUAL, Evidence, statistics
+from motorlens_workbench.evidence import RESIDUAL, Evidence, statistics
 
 Array = NDArray[np.float64]
 
@@ -237,28 +237,29 @@ def evidence_of(columns: Sequence[Columns], runs: Sequence[Run], whiteners: Sequ
     """Whiten all columns and sum their products by blocks of time."""
     names = columns[0].names
     blocks, samples = [], []
+    noise = np.zeros(len(names) + 1)
     for r, (one, run, whitener) in enumerate(zip(columns, runs, whiteners, strict=True)):
         kept = usable(run, whitener)
+        # Noise of the inputs is in what changes from sample to sample.
+        rough = np.sum(np.diff(one.table, axis=0) ** 2, axis=0) / 2
+        noise += noise_share(run) * np.sum(rough / whitener.sigma[:, None] ** 2, axis=0)
         pieces = [rows for k, rows in layout(runs, whiteners) if k == r]
         for rows, part in zip(pieces, whitener.pieces(one.table, pieces), strict=True):
             flat = part[kept[rows]].reshape(-1, len(names) + 1)
             blocks.append(flat.T @ flat)
             samples.append(float(kept[rows].sum()))
-    return replace(Evidence.of(names, np.array(blocks), np.array(samples)), copy=noise_share(runs))
+    return replace(Evidence.of(names, np.array(blocks), np.array(samples)), noise=noise)
 
 
-def noise_share(runs: Sequence[Run]) -> float:
-    """The largest share of a run's voltage, from sample to sample, that is noise of its sensor.
+def noise_share(run: Run) -> float:
+    """The share of what a run's voltage changes from sample to sample that is noise of its sensor.
 
-    Columns are taken along the voltage as it was measured, corrected as well as can be: of a column that others explain but
-    for this share, what is left may be that noise.
+    Columns are taken along the voltage as it was measured, corrected as well as can be, and hold as much of that noise.
     """
-    shares = [COPY]
-    for run in runs:
-        if run.noise is not None:
-            bends = float(np.mean(np.diff(run.inputs.voltage_V) ** 2))
-            shares.append(2 * float(run.noise.disturbances[VOLTAGE]) / max(bends, 1e-300))
-    return min(max(shares), 1.0)
+    if run.noise is None:
+        return 0.0
+    changes = float(np.mean(np.diff(run.inputs.voltage_V) ** 2))
+    return min(2 * float(run.noise.disturbances[VOLTAGE]) / max(changes, 1e-300), 1.0)
 
 
 # How many columns the noise model may first take out, and the statistic that entitles a column to it.
@@ -337,7 +338,7 @@ def held_out_errors(
     errors = [one.residual.copy() for one in columns]
     for fold in range(folds):
         kept = np.array([k >= len(blocks) or k % folds != fold for k in range(len(evidence.blocks))])
-        part = Evidence(evidence.names, evidence.blocks[kept], evidence.samples[kept], evidence.power)
+        part = replace(evidence, blocks=evidence.blocks[kept], samples=evidence.samples[kept])
         move, _ = part.solve(moving)
         for r, rows in (block for k, block in enumerate(blocks) if k % folds == fold):
             errors[r][rows] -= columns[r].values[rows][:, :, at] @ move

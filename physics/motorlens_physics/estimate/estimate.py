@@ -256,7 +256,7 @@ def estimate(
 
 def _nearer(runs: tuple[Run, ...], found: Fit, prior: Prior) -> tuple[tuple[Run, ...], Fit]:
     """Runs with late channels, and their fit, with the delays that fit best: a motor unlike its file has bent the first."""
-    late = [(r, channel) for r, run in enumerate(runs) for channel in run.late]
+    late = [(r, channel) for r, run in enumerate(runs) for channel in run.late if channel in run.channels]
     for samples in (4, 2, 1):
         for r, channel in late * REALIGNED:
             ways = [
