@@ -81,7 +81,7 @@ def test_a_sensor_that_hangs_is_found_by_its_lack_of_noise(noise: float, until: 
         assert run.valid[:3000].all()
         (found,) = dead_channels(file, (run,))
         assert (found.name, found.hung) == ("speed_sensor_gain", hung)
-        assert without(used, [found])[0].channels == run.channels
+        assert without((run,), [found])[0].channels == run.channels
 
 
 def changed(recording: Recording, channel: str, values: np.ndarray) -> Recording:
