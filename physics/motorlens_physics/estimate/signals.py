@@ -1,19 +1,12 @@
-"""Smoothing a measured input without rounding its steps.
+"""How noisy a signal is, and the signal without its noise, its steps kept.
 
-The simulation is driven by the measured voltage and load. Their sensors' noise drives it too, and what it stirs up in the
-simulated current is not in the real one: least squares would then shrink the model's fast response (errors in variables),
-and call it a lag. So each sample is replaced by the value at the end of a line through as many samples to its left, and to
-its right, as are compatible with one line: local polynomials with the intersection of confidence intervals, Katkovnik
-(1999), doi:10.1109/78.782208; one-sided windows keep steps, Katkovnik, Egiazarian and Astola (2006), ISBN
-978-0-8194-6042-1.
+Each sample is replaced by the value at the end of a line through as many samples to its left, and to its right, as are
+compatible with one line: local polynomials with the intersection of confidence intervals, Katkovnik (1999),
+doi:10.1109/78.782208; one-sided windows keep steps, Katkovnik, Egiazarian and Astola (2006), ISBN 978-0-8194-6042-1.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -21,17 +14,6 @@ WINDOWS = (1, 3, 5, 9, 17, 33, 65, 129, 257, 513)
 # Half width of a confidence interval, in standard deviations. Narrow: what smoothing leaves of the noise is known and
 # allowed for, what it takes from the signal is not.
 CONFIDENCE = 1.5
-# Noise that lasts: samples in a piece, how much louder than the quietest a piece may be, lags at which it is looked at, the
-# correlation of neighbours and the share of the noise above which it counts, and how much of it is kept from one sample to
-# the next.
-PIECE, LOUD, LAGS, LASTS = 64, 4.0, (0, 1, 2, 3, 4, 6, 8, 12, 16, 24), 0.2
-KEEPS = (0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
-# How much better the signal's own bends must fit than noise that lasts alone.
-FITS = 3.0
-# How much more than the signal the noise found in it may scatter from sample to sample.
-ROUGHER = 1.3
-
-
 # Samples in a piece of a coarsely converted signal; within how many steps, or deviations of its noise, it is steady;
 # how many such pieces are needed.
 STEADY, WITHIN, APART, FEWEST = 16, 3.0, 8.0, 8
@@ -66,76 +48,6 @@ def _before_conversion(toggling: float, step: float) -> float:
     """
     small = toggling * np.sqrt(np.pi) / step
     return float(small if small < 0.5 * step else np.sqrt(max(toggling - step**2 / 12, 0.25 * step**2)))
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of a sensor: a white part, and one that lasts (a first-order autoregression).
-
-    Attributes:
-        white: standard deviation of the white part.
-        lasting: standard deviation of the other.
-        keep: its correlation from one sample to the next.
-    """
-
-    white: float = 0.0
-    lasting: float = 0.0
-    keep: float = 0.0
-
-    def __bool__(self) -> bool:
-        return self.white > 0 or self.lasting > 0
-
-    @property
-    def roughness(self) -> float:
-        """Standard deviation of white noise with second differences as large."""
-        k = self.keep
-        return float(np.sqrt(self.white**2 + self.lasting**2 * (6 - 8 * k + 2 * k**2) / 6))
-
-    def draw(self, rng: np.random.Generator, rows: int) -> Array:
-        """(rows,) of it."""
-        fresh = self.lasting * np.sqrt(1 - self.keep**2) * rng.standard_normal(rows)
-        return np.asarray(self.white * rng.standard_normal(rows) + lfilter([1.0], [1.0, -self.keep], fresh))
-
-
-def noise_of_input(y: Array, step: float = 0.0) -> Noise:
-    """The noise on a signal that is mostly smooth: what lines through its quieter pieces leave.
-
-    The autocovariance of what is left tells the lasting part from the white one; that the lines have taken some of the noise
-    along is allowed for. Where it does not fit, the signal itself bends, as a parabola and a cubic in each piece. A lasting
-    part that would scatter more from sample to sample than the signal does is none, but a signal that bends faster.
-    """
-    white = noise_sd(y, step)
-    pieces = len(y) // PIECE
-    if pieces < 8 or white <= 0 or white < step:
-        return Noise(white)
-    cut = y[: pieces * PIECE].reshape(pieces, PIECE)
-    powers = np.linalg.qr(np.vander(np.linspace(-1, 1, PIECE), 4, increasing=True))[0]
-    line, bends = powers[:, :2], powers[:, 2:]
-    without = np.eye(PIECE) - line @ line.T
-    left = cut @ without
-    power = np.mean(left**2, axis=1)
-    # Pieces in which the signal jumps are far louder than the quietest.
-    quiet = left[power <= LOUD * np.quantile(power, 0.1)]
-    seen = np.array([np.mean(quiet[:, : PIECE - lag] * quiet[:, lag:]) for lag in LAGS])
-    if seen[1] < LASTS * seen[0]:
-        return Noise(white)
-    apart = np.abs(np.subtract.outer(np.arange(PIECE), np.arange(PIECE)))
-
-    def shape(covariance: Array) -> list[float]:
-        return [float(np.mean(np.diagonal(without @ covariance @ without, lag))) for lag in LAGS]
-
-    def fitted(others: list[list[float]]) -> tuple[float, Noise]:
-        tried = [(keep, *nnls(np.array([shape(keep**apart), *others]).T, seen)) for keep in KEEPS]
-        keep, sizes, error = min(tried, key=lambda one: one[2])
-        return error, Noise(float(np.sqrt(sizes[1])), float(np.sqrt(sizes[0])), keep)
-
-    white_part = shape(np.eye(PIECE))
-    error, found = fitted([white_part])
-    error_bent, bent = fitted([white_part, *(shape(np.outer(bend, bend)) for bend in bends.T)])
-    if error > FITS * error_bent:
-        found = bent
-    counts = found.lasting**2 > LASTS * (found.white**2 + found.lasting**2)
-    return found if counts and found.roughness < ROUGHER * white else Noise(white)
 
 
 def smoothed(y: Array, step: float = 0.0) -> Array:
