@@ -65,12 +65,20 @@ def _foreign(url: str) -> bool:
     return not url.startswith(("file:", "data:", "blob:", "about:", "http://127.0.0.1:"))
 
 
+# Whether a region scrolls depends on the length of a path or the width of a window; whether it may does not.
+_OUT_OF_REACH = """() => [...document.querySelectorAll("body *")].filter(node => {
+  const {overflowX, overflowY} = getComputedStyle(node);
+  return [overflowX, overflowY].some(one => one === "auto" || one === "scroll")
+    && ![node, ...node.querySelectorAll("*")].some(one => one.tabIndex >= 0);
+}).map(node => "may scroll and cannot be reached by keyboard: " + node.outerHTML.slice(0, 200))"""
+
+
 def serious(page) -> list[str]:
-    """What axe finds that is serious or critical, a line each."""
+    """What axe finds that is serious or critical, and what may scroll and cannot be reached by keyboard; a line each."""
     from axe_playwright_python.sync_playwright import Axe
 
     found = Axe().run(page).response["violations"]
-    return [
+    return page.evaluate(_OUT_OF_REACH) + [
         f"{one['id']}: {one['help']}: {one['nodes'][0]['html'][:200]}"
         for one in found
         if one["impact"] in ("serious", "critical")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from helpers.browser import chromium, needs_browser, opened, serious
-from helpers.processes import MOTORLENS, Program
+from helpers.processes import MOTORLENS, Program, eventually
 
 from motorlens_runtime.cli import main
 
@@ -61,10 +61,46 @@ def workbench(folder, *words):
 
 
 def ended(page, place, text=re.compile(".")):
-    """Wait until a step has ended; its sentence."""
+    """Wait until a step has ended; its sentence.
+
+    Raises:
+        AssertionError: it has not come; with what the page shows instead.
+    """
+    from playwright.sync_api import TimeoutError as Late
+
     sentence = page.locator(f"#{place}-result").locator(".verdict, .failed").filter(has_text=text).first
-    sentence.wait_for(timeout=STEP_MS)
+    try:
+        sentence.wait_for(timeout=STEP_MS)
+    except Late as error:
+        raise AssertionError(f"{error}\nthe page shows:\n{page.locator('main').inner_text()}") from None
     return sentence.inner_text()
+
+
+def test_a_step_asked_for_before_the_page_knows_what_is_chosen_waits_for_that(browser, folder, tmp_path):
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    with workbench(tmp_path, "bench.csv") as url, opened(browser, "about:blank") as page:
+        asked = []
+        page.route("**/choice", lambda route: asked.append(route) if not asked else route.continue_())
+        page.goto(url)
+        page.get_by_role("button", name="Compare", exact=True).click()
+        eventually(lambda: page.evaluate("1") and asked, "the question what is chosen")
+        assert page.locator("#problem").is_hidden() and page.locator("#running").is_hidden()
+        asked[0].continue_()
+        page.locator("#running-what", has_text="compare").wait_for()
+        page.get_by_role("button", name="Cancel").click()
+        assert "Cancelled" in ended(page, "compare")
+
+
+def test_a_report_that_did_not_come_is_fetched_again(browser, folder, tmp_path):
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    with workbench(tmp_path, "bench.csv") as url, opened(browser, "about:blank") as page:
+        page.route("**/results/*.html", lambda route: route.abort(), times=1)
+        page.goto(url)
+        page.get_by_role("button", name="Look at bench.csv").click()
+        assert "1001 samples" in ended(page, "look")
+        page.get_by_role("alert").wait_for(state="hidden")
+        assert page.complaints and all("ERR_FAILED" in line for line in page.complaints), page.complaints
+        page.complaints.clear()
 
 
 @pytest.mark.blind

@@ -59,7 +59,9 @@ def page(
             else:
                 yield f"<p>{_text(item)}</p>\n" if isinstance(item, str) else _shown(item) + "\n"
         yield "</section>\n"
-    yield f'<section class="again"><h2>To reproduce</h2><pre>{_text(chr(10).join(commands))}</pre></section>\n'
+    again = _text("\n".join(commands))
+    yield '<section class="again"><h2>To reproduce</h2><pre tabindex="0" role="region" aria-label="commands">'
+    yield f"{again}</pre></section>\n"
     yield f'<p class="note">motorlens {version("motorlens")}</p></main>\n'
     specs = []
     for k, plot in enumerate(plots):

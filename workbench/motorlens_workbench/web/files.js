@@ -20,14 +20,19 @@ const Files = {
       document.body.classList.remove("dropping");
       this.send([...event.dataTransfer.files]);
     });
-    await this.read();
+    await this.ready();
     // On a phone what is found out comes first, once something is chosen.
     if (matchMedia("(max-width: 56rem)").matches && this.chosen.motor && this.chosen.recordings.length) $("files").open = false;
   },
 
+  // A step that is asked for before the page knows what is chosen waits for that.
+  async ready() {
+    if (!this.there) await this.read();
+  },
+
   async read(motor) {
-    const first = !this.there;
-    this.there = await get("/choice");
+    const there = await get("/choice"), first = !this.there;
+    this.there = there;
     if (first) this.chosen = this.there.chosen;
     const names = this.there.motors.map(entry => entry.name);
     if (motor && names.includes(motor)) this.chosen.motor = motor;

@@ -47,6 +47,7 @@ async function start() {
   }).catch(() => {});
   for (let answered = true;;) {
     try {
+      await Files.ready();
       await follow();
       if (!answered) problem("");
       answered = true;
@@ -157,6 +158,11 @@ function change(kind, effect, output) {
 
 async function take(order) {
   if (running) return problem("A step is under way; wait for it or cancel it.");
+  try {
+    await Files.ready();
+  } catch (error) {
+    return problem(error.message);
+  }
   const step = await send("/steps", {...Files.chosen, ...order});
   if (step) await follow();
   return step;
@@ -180,7 +186,15 @@ async function follow() {
   const fresh = seen;
   seen = true;
   steps = state.steps;
-  if (!changed.length) return;
+  if (changed.length) await tell(changed, fresh);
+  await show("look", ["look"], columns);
+  await show("compare", ["compare"]);
+  await show("diagnose", ["diagnose"], candidates);
+  await show("add", ["add", "remove"]);
+  await showAgain();
+}
+
+async function tell(changed, fresh) {
   const ended = changed.filter(step => step.state !== "running").at(-1);
   if (ended && fresh) {
     say(`${ended.kind} ${ended.state}: ${ended.sentence}`);
@@ -193,11 +207,6 @@ async function follow() {
   }
   showSteps();
   Files.show();
-  await show("look", ["look"], columns);
-  await show("compare", ["compare"]);
-  await show("diagnose", ["diagnose"], candidates);
-  await show("add", ["add", "remove"]);
-  await showAgain();
 }
 
 function showSteps() {

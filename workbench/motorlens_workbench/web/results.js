@@ -7,12 +7,27 @@ function words(name) {
   return name.replaceAll("_", " ");
 }
 
+// Draws a step into its place once; one that could not be fetched is fetched again when the server answers.
+async function once(parent, step, draw) {
+  const number = String(step.number);
+  if (parent.dataset.step === number) return;
+  parent.dataset.step = number;
+  try {
+    await draw();
+  } catch (error) {
+    if (parent.dataset.step === number) delete parent.dataset.step;
+    throw error;
+  }
+}
+
 // What came of the newest step of a kind; where it failed, what the one before it found stays below, and says so.
 async function show(name, kinds, also = () => {}) {
   const parent = $(`${name}-result`), ended = steps.filter(step => kinds.includes(step.kind) && step.state !== "running");
   const last = ended.at(-1), good = ended.findLast(step => step.state === "done");
-  if (!last || parent.dataset.step === String(last.number)) return;
-  parent.dataset.step = last.number;
+  if (last) await once(parent, last, () => draw(name, parent, last, good, also));
+}
+
+async function draw(name, parent, last, good, also) {
   const parts = document.createDocumentFragment();
   if (last !== good) head(last, parts);
   let drawn = null;
@@ -26,7 +41,7 @@ async function show(name, kinds, also = () => {}) {
       head(good, box);
     }
     drawn = await embed(shown, box);
-    also(shown, box);
+    await also(shown, box);
   }
   scenes[name]?.close();
   parent.replaceChildren(parts);
@@ -139,8 +154,10 @@ async function columns(step, box) {
 // Every motor file that was compared with the same recordings, the oldest first, over each other.
 async function showAgain() {
   const last = steps.findLast(step => step.kind === "compare" && step.state === "done"), parent = $("again-result");
-  if (!last || parent.dataset.step === String(last.number)) return;
-  parent.dataset.step = last.number;
+  if (last) await once(parent, last, () => drawAgain(parent, last));
+}
+
+async function drawAgain(parent, last) {
   const same = steps.filter(step => step.kind === "compare" && step.state === "done" && String(step.recordings) === String(last.recordings) && String(step.ranges) === String(last.ranges));
   // A file that was compared twice is shown as it is now.
   const newest = same.filter((step, k) => !same.slice(k + 1).some(later => later.motor === step.motor));
