@@ -38,6 +38,10 @@ READERS = {
     "pyarrow": ("pyarrow.csv", "pyarrow.csv.read_csv(path)"),
     "numpy.loadtxt": ("numpy", "numpy.loadtxt(path, delimiter=',', skiprows=1)"),
 }
+PARQUET_READERS = {
+    "polars": ("polars", "polars.read_parquet(path)"),
+    "pyarrow": ("pyarrow.parquet", "pyarrow.parquet.read_table(path)"),
+}
 # Reads a file and says what it took; importing the library is not counted.
 READING = """
 import sys, time, {module}
@@ -47,6 +51,10 @@ table = {call}
 seconds, cpu = time.perf_counter() - started, time.process_time() - cpu
 memory = {{line.split()[0]: line.split()[1] for line in open("/proc/self/status") if line.startswith("Vm")}}
 print(seconds, cpu, memory["VmHWM:"])
+"""
+CONVERTING = """
+import sys, pyarrow.csv, pyarrow.parquet
+pyarrow.parquet.write_table(pyarrow.csv.read_csv(sys.argv[1]), sys.argv[2])
 """
 # Runs a command of `motorlens` and says what it took; VmHWM is the peak of this program alone.
 MEASURED = """
@@ -64,7 +72,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--quick", action="store_true", help="a file of 3e5 rows instead of 1e7")
+    parser.add_argument("--quick", action="store_true", help="a file of 1e6 rows instead of 1e7")
     parser.add_argument("--sensor", default=str(ROOT / "models" / "sensors" / "mellah2016.onnx"))
     parser.add_argument(
         "--only", choices=("size", "start", "network", "decoder", "line", "file"), help="one part of it"
@@ -77,7 +85,7 @@ def main() -> int:
         "network": lambda: evaluations(arguments.sensor),
         "decoder": decoder,
         "line": lambda: live_line(arguments.sensor),
-        "file": lambda: recorded(arguments.sensor, 300_000 if arguments.quick else 10_000_000),
+        "file": lambda: recorded(arguments.sensor, 1_000_000 if arguments.quick else 10_000_000),
     }
     for part in [arguments.only] if arguments.only else parts:
         parts[part]()
@@ -303,22 +311,25 @@ def recorded(sensor: str, rows: int) -> None:
         path = Path(folder) / "recording.csv"
         write_csv(path, rows)
         print(f"recorded file of {rows / 1e6:g} million rows, {path.stat().st_size / 1e6:.0f} MB:")
-        for target in ("out.parquet", "out.csv"):
-            if target.endswith("parquet") and not present("pyarrow"):
-                continue
-            seconds, cpu, peak, _ = measured(
-                "infer", str(path), "--sensor", sensor, "-o", f"{folder}/{target}"
-            )
-            say_rate(f"infer to {target}", rows, seconds, cpu, peak)
-        for name, (module, call) in READERS.items():
-            if not present(module.partition(".")[0]):
-                continue
-            script = READING.format(module=module, call=call)
-            done = subprocess.run(
-                [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
-            )
-            seconds, cpu, peak = map(float, done.stdout.split())
-            say_rate(f"{name}, only reading", rows, seconds, cpu, peak)
+        pairs = [(path, "out.csv", READERS)]
+        if present("pyarrow"):
+            parquet = Path(folder) / "recording.parquet"
+            subprocess.run([sys.executable, "-c", CONVERTING, str(path), str(parquet)], check=True)
+            pairs += [(path, "out.parquet", {}), (parquet, "out.parquet", PARQUET_READERS)]
+        for source, target, readers in pairs:
+            what = f"infer {source.suffix[1:]} to {Path(target).suffix[1:]}"
+            command = ("infer", str(source), "--sensor", sensor, "-o", f"{folder}/{target}")
+            seconds, cpu, peak, _ = measured(*command)
+            say_rate(what, rows, seconds, cpu, peak)
+            for name, (module, call) in readers.items():
+                if not present(module.partition(".")[0]):
+                    continue
+                script = READING.format(module=module, call=call)
+                done = subprocess.run(
+                    [sys.executable, "-c", script, str(source)], capture_output=True, text=True, check=True
+                )
+                seconds, cpu, peak = map(float, done.stdout.split())
+                say_rate(f"{name}, only reading {source.suffix[1:]}", rows, seconds, cpu, peak)
 
 
 def present(module: str) -> bool:

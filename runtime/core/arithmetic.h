@@ -60,6 +60,12 @@ static inline float expf_between(float x)
     return p * scale;
 }
 
+#if MOTORLENS_LANES > 1
+/* Eight numbers that are computed with at once: an extension of gcc and clang, which a PC has. */
+#define MOTORLENS_VECTOR_LANES 8
+typedef motorlens_real motorlens_vector __attribute__((vector_size(MOTORLENS_VECTOR_LANES * sizeof(motorlens_real))));
+#endif
+
 #define MOTORLENS_SINGLE (sizeof(motorlens_real) == sizeof(float))
 
 static inline motorlens_real real_exp(motorlens_real x)
@@ -72,15 +78,49 @@ static inline motorlens_real real_exp(motorlens_real x)
     return (motorlens_real)motorlens_exp((double)x);
 }
 
-/* 1 - 2 / (exp(2 |x|) + 1) with the sign of x: exact to the last place of one, which is all that a sum of units sees. From 20
- * on it is one; of NaN it is NaN. Without a branch, so that a compiler computes many side by side. */
-static inline motorlens_real real_tanh(motorlens_real x)
+/* So many sums are added up side by side, so that a processor need not wait for one to go on. */
+#define MOTORLENS_SUMS (MOTORLENS_LANES > 1 ? 4 : 1)
+
+/* sums[m] += weights[m][j] * columns[j], summed over j < count in this order, for the first `wanted` of MOTORLENS_SUMS sums. */
+static inline void add_products(const motorlens_real *const *weights, const motorlens_lanes *columns, int count,
+                                motorlens_lanes *sums, int wanted)
 {
-    const motorlens_real size = x < 0 ? -x : x, near = size < 20 ? size : 20;
-    const motorlens_real e =
-        MOTORLENS_SINGLE ? (motorlens_real)expf_between((float)(2 * near)) : (motorlens_real)exp_between(2 * (double)near);
-    const motorlens_real result = 1 - 2 / (e + 1);
-    return x != x ? x : x < 0 ? -result : result;
+#if MOTORLENS_LANES > 1
+    for (int lane = 0; lane < MOTORLENS_LANES; lane += MOTORLENS_VECTOR_LANES) {
+        motorlens_vector sum[MOTORLENS_SUMS] = {{0}}, x;
+        motorlens_vector a, b, c, d; /* each by a name of its own, so that it stays in a register */
+        for (int m = 0; m < MOTORLENS_SUMS && m < wanted; m++)
+            memcpy(sum + m, sums[m] + lane, sizeof x);
+        a = sum[0], b = sum[1], c = sum[2], d = sum[3];
+        for (int j = 0; j < count; j++) {
+            memcpy(&x, columns[j] + lane, sizeof x);
+            a += weights[0][j] * x;
+            b += weights[1][j] * x;
+            c += weights[2][j] * x;
+            d += weights[3][j] * x;
+        }
+        sum[0] = a, sum[1] = b, sum[2] = c, sum[3] = d;
+        for (int m = 0; m < MOTORLENS_SUMS && m < wanted; m++)
+            memcpy(sums[m] + lane, sum + m, sizeof x);
+    }
+#else
+    motorlens_real sum = **sums;
+    (void)wanted;
+    for (int j = 0; j < count; j++)
+        sum += weights[0][j] * *columns[j];
+    **sums = sum;
+#endif
+}
+
+static inline motorlens_real real_abs(motorlens_real x)
+{
+    return MOTORLENS_SINGLE ? (motorlens_real)fabsf((float)x) : (motorlens_real)fabs((double)x);
+}
+
+static inline motorlens_real real_with_sign(motorlens_real size, motorlens_real of)
+{
+    return MOTORLENS_SINGLE ? (motorlens_real)copysignf((float)size, (float)of)
+                            : (motorlens_real)copysign((double)size, (double)of);
 }
 
 static inline motorlens_real real_sqrt(motorlens_real x)

@@ -103,8 +103,8 @@ def test_estimates_to_rounding_on_a_duty_cycle(pair):
     first, second = Estimator(python, 5e-3).push(samples), open_estimator(core, 5e-3).push(samples)
     scale = scales(python.specification)
     assert np.array_equal(first.quality, second.quality)
-    assert np.max(np.abs(first.values - second.values) / scale) < 1e-11
-    assert np.max(np.abs(first.sigma - second.sigma) / scale) < 1e-11
+    assert np.max(np.abs(first.values - second.values) / scale) < 1e-12
+    assert np.max(np.abs(first.sigma - second.sigma) / scale) < 1e-12
     assert np.ptp(second.values[:, 0]) > 0.1 * scale[0]  # it is a sensor that is compared
 
 

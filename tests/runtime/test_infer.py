@@ -93,6 +93,51 @@ def test_parquet_holds_the_same_numbers(here):
         np.testing.assert_allclose(column, table[name].to_numpy(), rtol=5.1e-9, err_msg=name)  # nine digits
 
 
+def test_a_parquet_recording_gives_what_its_csv_gives(here, capsys):
+    """Whole numbers, single precision, nulls and columns that nobody uses among them."""
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    rows = rows_of(5000).astype(np.float32).astype(float)
+    rows[:, 0] = np.arange(5000)
+    rows[70, 1] = rows[4000, 2] = np.nan
+    write(here / "rec.csv", rows, "time_ms,voltage_V,current_A")
+    missing = np.isnan(rows)
+    table = pa.table(
+        {
+            "remark": ["hot"] * 5000, "time_ms": pa.array(rows[:, 0].astype(np.int32)),
+            "voltage_V": pa.array(rows[:, 1].astype(np.float32), mask=missing[:, 1]), "current_A": pa.array(rows[:, 2]),
+        }
+    )  # fmt: skip
+    parquet.write_table(table, "rec.parquet", row_group_size=777)
+    assert infer("rec.csv") == 1
+    expected = (here / "out.csv").read_bytes()
+    said = capsys.readouterr().err
+    assert "rec.csv: row 72: no number" in said
+    assert infer("rec.parquet") == 1
+    assert (here / "out.csv").read_bytes() == expected
+    assert capsys.readouterr().err == said.replace("rec.csv: row 72", "rec.parquet: row 71")
+
+
+def test_a_wrong_parquet_file_is_one_clear_line(here, capsys):
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    columns = {"time_s": np.arange(300) / 1e3, "voltage_V": np.full(300, 9.0), "current_A": np.full(300, 1.0)}
+    for change, message in (
+        ({"current_A": ["1 A"] * 300}, "column 'current_A' holds string, not numbers"),
+        ({"time_s": -columns["time_s"]}, "row 2, column 'time_s': time runs backwards"),
+        ({"current_A": None}, "no current column"),
+    ):
+        changed = {name: values for name, values in (columns | change).items() if values is not None}
+        parquet.write_table(pa.table(changed), "rec.parquet")
+        assert infer("rec.parquet") == 1
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1, said
+    parquet.write_table(pa.table(columns), "rec.parquet")
+    (here / "rec.parquet").write_bytes((here / "rec.parquet").read_bytes()[:-20])
+    assert infer("rec.parquet") == 1
+    said = capsys.readouterr().err
+    assert "rec.parquet: not a whole Parquet file" in said and said.count("\n") == 1
+    assert not (here / "out.csv").exists()
+
+
 def test_cells_without_a_number_are_bridged_flagged_and_said(here, capsys):
     rows = rows_of()
     rows[100, 1] = rows[200, 2] = np.nan

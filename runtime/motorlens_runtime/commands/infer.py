@@ -1,4 +1,4 @@
-"""Estimate speed, temperature and resistance from a recorded CSV.
+"""Estimate speed, temperature and resistance from a recorded file, CSV or Parquet.
 
 The file may be of any length: it is streamed. Output is CSV, or Parquet if OUT ends in .parquet. Rows whose voltage or
 current is missing are estimated from what came before and flagged; the exit status is then 1.
@@ -16,7 +16,9 @@ from motorlens_runtime.cli import add_json_argument, write_json
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "recording", metavar="REC.csv", help="time, voltage and current, one row a sample; .gz is read too"
+        "recording",
+        metavar="REC.csv",
+        help="time, voltage and current, one row a sample; .gz and Parquet too",
     )
     parser.add_argument("--sensor", required=True, metavar="S.onnx", help="the virtual sensor")
     parser.add_argument(

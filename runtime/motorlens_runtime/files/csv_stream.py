@@ -11,7 +11,6 @@ import io
 import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -19,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.estimate.gate import Samples
-from motorlens_runtime.files.columns import require, understand
 from motorlens_runtime.files.decimal_text import read
-from motorlens_runtime.files.guesses import refuse_counts
 from motorlens_runtime.files.layout import HEAD_BYTES, is_comment, layout_of, number
+from motorlens_runtime.files.recorded import Block, Reading
 
 Array = NDArray[np.float64]
 
@@ -31,16 +28,6 @@ _BLOCK_BYTES = 3 << 16
 # From this size on, a library that reads faster is worth the time it takes to load.
 _LARGE_BYTES = 1 << 22
 _MAX_LINE_BYTES = 1 << 20
-_MAX_TIME_S = 9e9  # int64 nanoseconds end there
-
-
-@dataclass(frozen=True)
-class Block:
-    """Samples, and the row of the file (the heading is row 1) in which each stands."""
-
-    samples: Samples
-    first_row: int
-    position: int
 
 
 class CsvStream:
@@ -57,21 +44,28 @@ class CsvStream:
 
     def __init__(self, path: str | Path, mapping: Mapping[str, str], ambient_C: float | None = None) -> None:
         self.name = str(path)
-        self._ambient_C = ambient_C
         self._file, self._raw = _open(path)
         self.size = Path(path).stat().st_size
         self._large = self.size > _LARGE_BYTES
         self._decoder: codecs.IncrementalDecoder | None = None
         try:
-            self._read_heading(mapping)
+            self._read_heading(mapping, ambient_C)
         except DataError:
             self.close()
             raise
-        self._last_ns: int | None = None
-        self.duplicates = 0
         self.notes: list[str] = []
 
-    def _read_heading(self, mapping: Mapping[str, str]) -> None:
+    @property
+    def first_row(self) -> int:
+        """The number of the first line of numbers."""
+        return self._layout.first_row
+
+    @property
+    def duplicates(self) -> int:
+        """How many rows so far repeat the time of the row before."""
+        return self._reading.duplicates
+
+    def _read_heading(self, mapping: Mapping[str, str], ambient_C: float | None) -> None:
         self._row = 1
         head = self._read(HEAD_BYTES)
         layout = layout_of(head, self.name, len(head) < HEAD_BYTES)
@@ -84,18 +78,8 @@ class CsvStream:
         self._rest, self._row, self._layout = head[at:], layout.first_row, layout
         self._separator = layout.separator.encode()
         self.headings = list(layout.headings)
-        self.columns = understand(self.headings, mapping, self.name)
-        require(self.columns, ("time", "voltage", "current"), self.headings, self.name)
-        # Written by the live recorder: what the line knew of each sample.
-        self._flags_at = self.headings.index("link_flags") if "link_flags" in self.headings else None
-        self._used = {
-            index: self.headings[index]
-            for quantity, column in self.columns.items()
-            if quantity in ("time", "voltage", "current", "ambient")
-            for index in column.uses
-        }
-        if self._flags_at is not None:
-            self._used[self._flags_at] = "link_flags"
+        self._reading = Reading(self.name, self.headings, mapping, ambient_C)
+        self._used = self._reading.used
 
     def __iter__(self) -> Iterator[Block]:
         """All blocks, in order. Raises DataError where a cell is no number or time runs backwards."""
@@ -139,48 +123,9 @@ class CsvStream:
         self._row += lines
         if not len(table):
             return
-        if first_row == self._layout.first_row:
-            refuse_counts(self.columns, lambda quantity: self._channel(table, quantity), self.name)
         numbers = rows if rows is not None else np.arange(first_row, first_row + lines)
-        time_ns = self._time(table, numbers)
-        voltage, current = self._channel(table, "voltage"), self._channel(table, "current")
-        if "ambient" in self.columns:
-            ambient: Array | None = self._channel(table, "ambient")
-        else:
-            ambient = None if self._ambient_C is None else np.full(len(time_ns), self._ambient_C)
-        flags = None
-        if self._flags_at is not None:
-            flags = (
-                np.nan_to_num(table[:, self._flags_at], posinf=0.0, neginf=0.0)
-                .astype(np.int64)
-                .astype(np.uint32)
-            )
-        yield Block(Samples(time_ns, voltage, current, ambient, flags), first_row, self._raw.tell())
-
-    def _channel(self, table: Array, quantity: str) -> Array:
-        return np.ascontiguousarray(self.columns[quantity].values(lambda index: table[:, index]))
-
-    def _time(self, table: Array, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        column = self.columns["time"]
-        time_s = self._channel(table, "time")
-        bad = ~(np.abs(time_s) < _MAX_TIME_S)
-        if bad.any():
-            at = int(np.argmax(bad))
-            raise DataError(
-                f"{self.name}: row {rows[at]}, column {column.heading!r}: {table[at, column.index]} is no time; "
-                "correct or remove the row"
-            )
-        time_ns = np.round(time_s * 1e9).astype(np.int64)
-        steps = np.diff(time_ns, prepend=time_ns[0] if self._last_ns is None else self._last_ns)
-        if (steps < 0).any():
-            at = int(np.argmax(steps < 0))
-            raise DataError(
-                f"{self.name}: row {rows[at]}, column {column.heading!r}: time runs backwards by {-steps[at] * 1e-9:g} s; "
-                "sort the file, or split it where the recorder restarted"
-            )
-        self.duplicates += int((steps == 0).sum()) - (self._last_ns is None)
-        self._last_ns = int(time_ns[-1])
-        return time_ns
+        samples = self._reading.samples(lambda index: table[:, index], numbers)
+        yield Block(samples, first_row, self._raw.tell())
 
     def _careful(self, text: bytes) -> tuple[Array, NDArray[np.int64]]:
         """Cell by cell; only the columns that are used."""
@@ -229,13 +174,6 @@ class CsvStream:
             raise DataError(
                 f"{self.name}: row {self._row}: the compressed file is damaged or cut short ({error})"
             ) from None
-
-
-def period_of(samples: Samples, otherwise_s: float) -> float:
-    """The usual time between samples: the median of the first steps that are not zero."""
-    steps = np.diff(samples.time_ns[:4096])
-    steps = steps[steps > 0]
-    return float(np.median(steps)) * 1e-9 if len(steps) else otherwise_s
 
 
 def _open(path: str | Path) -> tuple[IO[bytes], IO[bytes]]:

@@ -13,8 +13,8 @@ from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.files.columns import parse_mapping
-from motorlens_runtime.files.csv_stream import CsvStream, period_of
 from motorlens_runtime.files.pipeline import Behind, ahead
+from motorlens_runtime.files.recorded import open_recorded, period_of
 from motorlens_runtime.progress import Progress
 from motorlens_runtime.publish import Header, Publisher
 from motorlens_runtime.publish.csv import CsvPublisher
@@ -36,7 +36,7 @@ def infer(
     """Run a sensor over a recorded file and write an estimate for each of its rows.
 
     Args:
-        recording: CSV file, see `csv_stream`.
+        recording: CSV or Parquet file, see `recorded`.
         sensor_path: sensor file.
         output: where the estimates go; None is standard output as CSV.
         column_arguments: `QUANTITY=NAME` choices of the user.
@@ -52,16 +52,17 @@ def infer(
         DataError, ModelError: the recording or the sensor is not usable.
     """
     sensor = load_sensor(sensor_path, backend)
-    stream = CsvStream(recording, parse_mapping(column_arguments), ambient_C)
+    stream = open_recorded(recording, parse_mapping(column_arguments), ambient_C)
     try:
-        blocks = ahead(stream) if stream.size > _SMALL_BYTES else iter(stream)
+        large = Path(recording).stat().st_size > _SMALL_BYTES
+        blocks = ahead(stream) if large else iter(stream)
         first = next(blocks, None)
         if first is None:
             raise DataError(f"{recording}: has a heading but no rows")
         period_s = period_of(first.samples, 1 / sensor.specification.rate_Hz)
         estimator = open_estimator(sensor, period_s)
         publisher = _publisher(sensor, output, parquet)
-        if stream.size > _SMALL_BYTES:
+        if large:
             publisher = Behind(publisher)
         rows, reasons = 0, Counter[str]()
         first_missing: int | None = None
@@ -101,7 +102,7 @@ def infer(
         "rows": rows,
         "period_s": period_s,
         "quality": dict(sorted(reasons.items())),
-        "first_missing_row": None if first_missing is None else first_missing + 2,
+        "first_missing_row": None if first_missing is None else stream.first_row + first_missing,
         "notes": notes,
     }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.gate import Samples
-from motorlens_runtime.files.csv_stream import CsvStream, period_of
+from motorlens_runtime.files.recorded import open_recorded, period_of
 from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.line.dialects import Dialect, make_dialect, recognise
 from motorlens_runtime.line.link import Link, joined, slice_of
@@ -237,7 +237,7 @@ class FileFeed:
         path = unquote(parts.netloc + parts.path)
         if not path:
             raise DataError(f"--source {parts.geturl()}: name a file, for example file:recording.csv")
-        self._stream = CsvStream(path, mapping, ambient_C)
+        self._stream = open_recorded(path, mapping, ambient_C)
         self._blocks = iter(self._stream)
         self._waiting: Samples | None = None
         self._first_ns: int | None = None

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.sensor.folded import Linear, Step, fold
-from motorlens_runtime.sensor.onnx_file import OnnxFile
+from motorlens_runtime.sensor.folded import Folded, Linear, Step, centred
 
 TILE = 16
 # As many tiles in one go as keep the work in the cache.
@@ -72,19 +71,17 @@ class OrtBackend:
 
 
 class NumpyBackend:
-    """The folded graph in numpy, in float64.
+    """The folded graph in numpy, in float64. `mean` (F,) is what the features lie around, taken away first; None is zero.
 
     Not for several threads at once: the work is done in memory that is kept. A column that is not finite makes what is
     computed after it not finite, whether it depends on that column or not.
-
-    Raises:
-        ModelError: the graph has an operation that `folded` does not know.
     """
 
     name = "numpy"
 
-    def __init__(self, model: OnnxFile, features: int, where: str) -> None:
-        self._plan = _planned(model, features, where)
+    def __init__(self, folded: Folded, mean: Array | None = None) -> None:
+        self._plan = _planned(centred(folded, mean))
+        self._mean = np.zeros((folded.features, 1)) if mean is None else mean[:, None]
         # As much as the largest call so far needed: a live line takes a tile at a time, and several sensors may be loaded.
         self._memory: list[Array] = []
         self._spaces: dict[int, _Space] = {}
@@ -108,7 +105,7 @@ class NumpyBackend:
         space = self._spaces.get(len(features))
         if space is None:
             space = self._space_of(len(features))
-        np.copyto(space.features, features)
+        np.subtract(features[0] if len(features) == 1 else features, self._mean, out=space.features)
         for call, arguments, out in space.calls:
             call(*arguments, out=out)
         return space.estimate, space.sigma
@@ -149,8 +146,7 @@ class _Plan:
         return (self.columns, *map(len, self.products))
 
 
-def _planned(model: OnnxFile, features: int, where: str) -> _Plan:
-    folded = fold(model, features, where)
+def _planned(folded: Folded) -> _Plan:
     wanted = [argument for step in folded.steps for argument in step.arguments]
     uses: dict[int, _Use] = {}
     groups: dict[int, list[Array]] = {}
@@ -171,7 +167,7 @@ def _planned(model: OnnxFile, features: int, where: str) -> _Plan:
     def need(arguments: tuple[_Use, ...]) -> None:
         actions.extend(use.memory for use in arguments if use.memory and use.memory not in actions)
 
-    column = features + 1
+    column = folded.features + 1
     for step in folded.steps:
         arguments = tuple(dict.fromkeys(uses[id(argument)] for argument in step.arguments))
         need(arguments)
@@ -180,7 +176,7 @@ def _planned(model: OnnxFile, features: int, where: str) -> _Plan:
     results = uses[id(folded.estimate)], uses[id(folded.sigma)]
     need(tuple(dict.fromkeys(results)))
     products = tuple(np.concatenate(group) for group in groups.values())
-    return _Plan(features, column, products, tuple(actions), *results)
+    return _Plan(folded.features, column, products, tuple(actions), *results)
 
 
 def _padded(linear: Linear, columns: int) -> Array:

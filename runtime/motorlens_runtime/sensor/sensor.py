@@ -118,7 +118,7 @@ def _backends(
     features, outputs = len(specification.features), len(specification.outputs)
     ways: dict[str, Callable[[], Backend]] = {
         "core": lambda: CoreBackend(tables_of(specification, fold(model, features, where))),
-        "numpy": lambda: NumpyBackend(model, features, where),
+        "numpy": lambda: NumpyBackend(fold(model, features, where), specification.envelope.mean),
         "onnxruntime": lambda: OrtBackend(data, features, outputs, where),
     }
     if wanted == "numpy":

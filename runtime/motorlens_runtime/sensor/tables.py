@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from motorlens_runtime.errors import ModelError
 from motorlens_runtime.estimate.features import FeatureMap
 from motorlens_runtime.estimate.gate import GateLimits, limits_of
-from motorlens_runtime.sensor.folded import Folded, Linear
+from motorlens_runtime.sensor.folded import Folded, Linear, centred
 from motorlens_runtime.sensor.specification import Specification
 
 Array = NDArray[np.float64]
@@ -144,7 +144,8 @@ def tables_of(specification: Specification, folded: Folded, single: bool = False
         if single:
             whitening = whitening.astype(np.float32).astype(np.float64)
     reads_z = single and whitening is not None
-    basis = _Basis(mean, whitening if reads_z else None)
+    folded = centred(folded, envelope.mean)
+    basis = _Basis(F, whitening if reads_z else None)
     made: dict[int, Argument] = {}
 
     def argument(linear: Linear) -> Argument:
@@ -180,15 +181,14 @@ def tables_of(specification: Specification, folded: Folded, single: bool = False
 
 @dataclass(frozen=True, eq=False)
 class _Basis:
-    mean: Array
+    features: int
     whitening: Array | None
 
     def over(self, weights: Array) -> Array:
         """Weights (width, C) over features, a one and steps as those over what the network reads, the one and steps."""
-        F, result = len(self.mean), weights.copy()
-        result[:, F] += weights[:, :F] @ self.mean
+        result = weights.copy()
         if self.whitening is not None:
-            result[:, :F] = np.linalg.solve(self.whitening, weights[:, :F].T).T
+            result[:, : self.features] = np.linalg.solve(self.whitening, weights[:, : self.features].T).T
         return result
 
 

@@ -1,0 +1,96 @@
+"""Recorded samples from a Parquet file of any length, in constant memory. Needs pyarrow, of the `publish` extra.
+
+A null is a missing number, as an empty cell of a CSV is. Whole numbers and decimals of any width are read;
+columns that are no numbers must not be among those that are used.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.recorded import Block, Reading
+
+Array = NDArray[np.float64]
+
+_ROWS = 1 << 15
+
+
+class ParquetStream:
+    """An open recording, see `recorded.Recorded`; rows count from 1.
+
+    Raises:
+        DataError: the file is damaged, lacks time, voltage or current, or pyarrow is not installed.
+    """
+
+    first_row = 1
+
+    def __init__(self, path: str | Path, mapping: Mapping[str, str], ambient_C: float | None = None) -> None:
+        try:
+            import pyarrow as pa
+            import pyarrow.parquet as pq
+        except ModuleNotFoundError:
+            raise DataError(
+                f"{path}: a Parquet file needs pyarrow: pip install 'motorlens[publish]'"
+            ) from None
+        self.name, self._refused = str(path), (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError)
+        self._float64 = pa.float64()
+        try:
+            self._file = pq.ParquetFile(path)
+        except self._refused as error:
+            raise DataError(f"{path}: not a whole Parquet file: {_first_line(error)}") from None
+        try:
+            self._names = list(self._file.schema_arrow.names)
+            self._reading = Reading(self.name, self._names, mapping, ambient_C)
+            for index, heading in self._reading.used.items():
+                kind = self._file.schema_arrow.types[index]
+                if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
+                    raise DataError(f"{path}: column {heading!r} holds {kind}, not numbers; convert it")
+        except DataError:
+            self._file.close()
+            raise
+        self.size = self._file.metadata.num_rows
+        self.notes: list[str] = []
+
+    @property
+    def duplicates(self) -> int:
+        """How many rows so far repeat the time of the row before."""
+        return self._reading.duplicates
+
+    def __iter__(self) -> Iterator[Block]:
+        """All blocks, in order. Raises DataError where the file is damaged or time runs backwards."""
+        row, wanted = self.first_row, list(self._reading.used.values())
+        try:
+            for batch in self._file.iter_batches(_ROWS, columns=wanted):
+                n = len(batch)
+                table = {
+                    index: self._numbers(batch.column(batch.schema.get_field_index(heading)))
+                    for index, heading in self._reading.used.items()
+                }
+                if n:
+                    samples = self._reading.samples(table.__getitem__, np.arange(row, row + n))
+                    yield Block(samples, row, row + n - 1)
+                row += n
+        except self._refused as error:
+            raise DataError(f"{self.name}: row {row}: damaged: {_first_line(error)}") from None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _numbers(self, column: Any) -> Array:
+        if column.type != self._float64:
+            column = column.cast(self._float64, safe=False)
+        # Not by `to_numpy`, which imports pandas wherever that is installed: 40 MB.
+        values = np.frombuffer(column.buffers()[1])[column.offset : column.offset + len(column)]
+        if column.null_count:
+            missing = np.frombuffer(column.is_null().cast("uint8").buffers()[1], dtype=np.uint8)
+            values = np.where(missing[: len(values)] > 0, np.nan, values)
+        return values
+
+
+def _first_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:120]
