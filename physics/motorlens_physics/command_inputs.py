@@ -18,7 +18,7 @@ Spans = Mapping[str, tuple[float, float]]
 
 
 def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = True) -> None:
-    """Give a command `--motor`, what its recordings mean, and the user's own effects."""
+    """Give a command `--motor`, what its recordings mean, how they were made, and the user's own effects."""
     parser.add_argument(
         "--motor",
         required=motor_required,
@@ -33,6 +33,7 @@ def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = 
         "--voltage-commanded", action="store_true",
         help="the voltage is what was commanded (duty times supply): no sensor, so no error of one is looked for",
     )  # fmt: skip
+    add_condition_arguments(parser)
     parser.add_argument(
         "--no-value", action="append", metavar="NUMBER",
         help="a number that stands for a missing value, as in --no-value=-9999; 'none' looks for none (default: found)",
@@ -97,7 +98,7 @@ def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) 
     named = [name for kind in ("recordings", "fit", "judge") for name in getattr(arguments, kind, None) or ()]
     return CommandInputs(
         file, own, tuple(arguments.column), _no_values(arguments.no_value),
-        getattr(arguments, "terminal", None), getattr(arguments, "shaft", None), parse_ranges(arguments.range, named),
+        arguments.terminal, arguments.shaft, parse_ranges(arguments.range, named),
     )  # fmt: skip
 
 
@@ -108,7 +109,7 @@ def input_words(arguments: argparse.Namespace) -> list[str]:
     words += ["--voltage-commanded"] if arguments.voltage_commanded else []
     words += [f"--no-value={number}" for number in arguments.no_value or ()]
     for flag in ("terminal", "shaft"):
-        words += [f"--{flag}", getattr(arguments, flag)] if getattr(arguments, flag, None) else []
+        words += [f"--{flag}", getattr(arguments, flag)] if getattr(arguments, flag) else []
     words += [word for span in arguments.range for word in ("--range", span)]
     return words + (["--effects-from", arguments.effects_from] if arguments.effects_from else [])
 

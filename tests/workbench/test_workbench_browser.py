@@ -11,6 +11,7 @@ from helpers.browser import chromium, needs_browser, opened, serious
 from helpers.processes import MOTORLENS, Program, eventually
 
 from motorlens_runtime.cli import main
+from motorlens_runtime.files.columns import WORDS
 
 pytestmark = [needs_browser, pytest.mark.fit]
 MODEL = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
@@ -173,12 +174,20 @@ def test_a_file_is_brought_in_looked_at_mapped_and_a_range_of_it_picked(browser,
             box.fill(value)
             box.press("Enter")
         page.get_by_role("button", name="Use only this range").click()
+        page.get_by_text("How they were recorded").click()
+        page.get_by_label("the voltage is what was commanded").check()
+        for label, words in WORDS.items():
+            choice = page.locator(f"#{label}")
+            values = choice.locator("option").evaluate_all("options => options.map(option => option.value)")
+            assert values == ["", *words]
+            choice.select_option(words[0])
         page.get_by_role("tab", name="1 Compare").click()
         page.get_by_role("button", name="Compare", exact=True).click()
         ended(page, "compare")
         command = page.locator("#compare-result pre").first.inner_text()
         assert "--column 'voltage=Motor Voltage measured' --column speed_rpm=n" in command
         assert "--range motorlens-session/files/odd.csv=3:8" in command
+        assert command.endswith("--voltage-commanded --terminal driven --shaft free")
         stop = page.locator("#compare-result").get_by_label(re.compile("^to, in seconds")).input_value()
         assert float(stop) == pytest.approx(5, abs=0.02)
 

@@ -211,6 +211,9 @@ def test_what_the_page_may_not_do_is_said(bench):
         ({"output": "-new.toml"}, "plain name"),
         ({"output": "new.py"}, "plain name"),
         ({"columns": ["--json"]}, "write QUANTITY=NAME"),
+        ({"terminal": "--html"}, "one of driven, open, shorted, current"),
+        ({"shaft": "open"}, "one of free, locked, turned"),
+        ({"shaft": 1}, "not of the form"),
         ({"kind": "serve"}, "is no step"),
         ({"recordings": "bench.csv"}, "none of the recordings here"),
         ({"motor": 3}, "not of the form"),
@@ -292,12 +295,13 @@ def test_a_command_is_complete(tmp_path, monkeypatch):
     for name in ("a b.csv", "c.csv"):
         Path(name).touch()
     order = Order(
-        "./-motor.toml", ("a b.csv",), ("c.csv",), ("speed=w rad/s",), ("a b.csv=2:8.5", "other.csv=1:2"), "add",
-        "radiation", "new.toml", True,
+        "./-motor.toml", ("a b.csv",), ("c.csv",), ("speed=w rad/s",), ("a b.csv=2:8.5", "other.csv=1:2"),
+        True, "open", "locked", "add", "radiation", "new.toml", True,
     )  # fmt: skip
     assert words_of(order, Shelf((), "."), "own.py") == (
         "add", "radiation", "--motor", "./-motor.toml", "--fit", "a b.csv", "--judge", "c.csv", "--force", "-o", "new.toml",
-        "--column", "speed=w rad/s", "--range", "a b.csv=2:8.5", "--effects-from", "own.py",
+        "--column", "speed=w rad/s", "--range", "a b.csv=2:8.5", "--effects-from", "own.py", "--voltage-commanded",
+        "--terminal", "open", "--shaft", "locked",
     )  # fmt: skip
 
 

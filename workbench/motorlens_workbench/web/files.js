@@ -3,12 +3,14 @@
 const PIECE = 1 << 20; // octets of a file that are sent at once; the server takes no more
 const Files = {
   there: null, // what can be chosen
-  chosen: {motor: "", recordings: [], judge: [], columns: [], ranges: []},
+  chosen: {motor: "", recordings: [], judge: [], columns: [], ranges: [], voltage_commanded: false, terminal: "", shaft: ""},
   change: () => {}, // called when the choice has changed
 
   async start(change) {
     this.change = change;
     $("motor").onchange = () => this.set({motor: $("motor").value});
+    $("voltage_commanded").onchange = () => this.set({voltage_commanded: $("voltage_commanded").checked});
+    for (const id of ["terminal", "shaft"]) $(id).onchange = () => this.set({[id]: $(id).value});
     $("refresh").onclick = () => this.read();
     $("undo").onclick = () => this.back(this.undoable());
     $("redo").onclick = () => this.back(this.redoable());
@@ -53,6 +55,9 @@ const Files = {
     $("motor").replaceChildren(...there.motors.map(entry => new Option(entry.name)));
     if (!there.motors.length) $("motor").append(new Option("no motor file here", ""));
     $("motor").value = chosen.motor;
+    $("voltage_commanded").checked = chosen.voltage_commanded;
+    for (const id of ["terminal", "shaft"]) $(id).value = chosen[id];
+    if (conditions(chosen)) $("conditions").open = true; // what is not as usual is seen
     const present = this.parts();
     $("parts").textContent = present.length ? `textbook + ${present.map(words).join(" + ")}` : "the textbook motor, no effects";
     $("motor-file").hidden = !chosen.motor;
@@ -181,6 +186,11 @@ const Files = {
     }
   },
 };
+
+// What of the recordings is not as they say themselves, in words; "" if nothing.
+function conditions({voltage_commanded, terminal, shaft}) {
+  return [voltage_commanded && "voltage commanded", terminal && `terminals ${terminal}`, shaft && `shaft ${shaft}`].filter(Boolean).join(", ");
+}
 
 function columnParts(text) {
   const at = text.lastIndexOf("::");

@@ -93,6 +93,7 @@ function age() {
     if (step.kind !== "look" && String(step.recordings) !== String(now.recordings)) differs.push(step.recordings.join(", "));
     if (String(Files.columnsOf(step.recordings, step.columns)) !== String(Files.columnsOf(step.recordings))) differs.push("other columns");
     if (step.kind !== "look" && String(ranges(step.ranges, step)) !== String(ranges(now.ranges, step))) differs.push(step.ranges.length ? `ranges ${step.ranges.join(", ")}` : "whole recordings");
+    if (step.kind !== "look" && conditions(step) !== conditions(now)) differs.push(conditions(step) || "conditions as recorded");
     box.classList.toggle("old", differs.length > 0);
     note.textContent = differs.length ? `Of an earlier choice: ${differs.join("; ")}.` : "";
   }

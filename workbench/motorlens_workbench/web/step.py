@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.columns import WORDS
 from motorlens_workbench.web.shelf import Shelf
 
 KINDS = ("look", "compare", "diagnose", "add", "remove")
@@ -21,7 +22,8 @@ _RANGE = re.compile(r"[^-].*:.*")
 class Choice:
     """What is chosen on the page; names are those of the shelf, `columns` and `ranges` as they are typed in a command.
 
-    A column of one recording alone is written `REC::QUANTITY=NAME`.
+    A column of one recording alone is written `REC::QUANTITY=NAME`. The last three are the flags of that name, for all
+    recordings; "" is as recorded.
     """
 
     motor: str = ""
@@ -29,6 +31,9 @@ class Choice:
     judge: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     ranges: tuple[str, ...] = ()
+    voltage_commanded: bool = False
+    terminal: str = ""
+    shaft: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,12 @@ def words_of(order: Order, shelf: Shelf, effects_from: str | None = None) -> tup
     for text in order.ranges:
         more += ["--range", text] if text.rpartition("=")[0] in ("", *used) else []
     more += ["--effects-from", effects_from] if effects_from else []
+    more += ["--voltage-commanded"] if order.voltage_commanded else []
+    for flag in WORDS:
+        if word := getattr(order, flag):
+            if word not in WORDS[flag]:
+                raise DataError(f"{flag} {word!r}: one of {', '.join(WORDS[flag])}")
+            more += [f"--{flag}", word]
     if order.kind in ("compare", "diagnose"):
         return (order.kind, *recordings, "--motor", motor.name, *more)
     if not _NAME.fullmatch(order.effect):
@@ -149,7 +160,8 @@ def _columns(columns: Sequence[str], recordings: Sequence[str]) -> list[str]:
 
 def _read(document: Mapping[str, Any]) -> dict[str, Any]:
     lists = {name: _texts(document.get(name, ())) for name in ("recordings", "judge", "columns", "ranges")}
-    return {"motor": _text(document.get("motor", "")), **lists}
+    words = {name: _text(document.get(name, "")) for name in ("motor", *WORDS)}
+    return {**words, **lists, "voltage_commanded": document.get("voltage_commanded", False) is True}
 
 
 def _texts(values: Any) -> tuple[str, ...]:
