@@ -204,13 +204,26 @@ def test_a_wrong_file_is_said_in_a_line_and_the_old_verdict_does_not_stand_for_i
             page, "compare", re.compile("oops")
         )
         assert "Of an earlier choice: bench.csv" in page.locator("#compare-result .stale").inner_text()
+        # A late answer to something else does not take away what is said.
+        late = []
+        page.route(
+            "**/choice",
+            lambda route: late.append(route) if route.request.method == "POST" else route.continue_(),
+        )
         page.get_by_label("Bring in recordings").set_input_files(tmp_path / "motor.toml")
         page.get_by_text("motor.toml: here").wait_for()
+        eventually(lambda: page.evaluate("1") and late, "the choice of the motor file")
         (tmp_path / "page.html").write_text("<b>")
         page.complaints.clear()
         page.get_by_label("Bring in recordings").set_input_files(tmp_path / "page.html")
-        alert = page.get_by_role("alert")
-        alert.filter(has_text="ends in one of").wait_for()
+        alert = page.get_by_role("alert").filter(has_text="ends in one of")
+        alert.wait_for()
+        with page.expect_response("**/choice"):
+            late[0].continue_()
+        page.wait_for_timeout(200)
+        assert alert.is_visible()
+        page.get_by_role("checkbox", name="use bench.csv").check()
+        alert.wait_for(state="hidden")
         # The browser notes the refusal on its console.
         assert all("400" in line for line in page.complaints), page.complaints
         page.complaints.clear()

@@ -153,7 +153,7 @@ const Files = {
   },
 
   back(motor) {
-    if (!motor || !this.there.motors.some(entry => entry.name === motor)) return problem(`${motor} is not here any more.`);
+    if (!motor || !this.there.motors.some(entry => entry.name === motor)) return problem(`${motor} is not here any more.`, "/choice");
     this.set({motor});
     say(`The motor file is ${motor}; the other one is kept.`);
   },
@@ -181,7 +181,7 @@ const Files = {
         }
       } catch (error) {
         $("sending").textContent = "";
-        problem(error.message);
+        problem(error.message, "/upload");
       }
     }
   },

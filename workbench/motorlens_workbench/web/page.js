@@ -3,6 +3,7 @@
 const $ = id => document.getElementById(id);
 const TABS = ["look", "compare", "diagnose", "add", "again"];
 const LOOK_MS = 400;
+const problems = new Map(); // what was asked for -> why it was not done
 const catalogue = new Map(); // name of an effect -> its equation and meaning
 let steps = [], outputSuggested = "", running = null, seen = false; // seen: whether this page knows what was before
 
@@ -23,12 +24,14 @@ async function start() {
     const typing = event.target.matches("input, textarea, select");
     if (!typing && !event.ctrlKey && !event.metaKey && !event.altKey && Number(event.key) >= 1 && Number(event.key) < TABS.length) open_(TABS[Number(event.key)], true);
   });
+  // What the user does next takes the place of what went wrong before.
+  for (const kind of ["click", "change", "submit"]) addEventListener(kind, event => { if (event.target.closest("button, input, select, form")) forget(); }, true);
   addEventListener("popstate", () => open_(TABS.includes(location.hash.slice(1)) ? location.hash.slice(1) : "compare", false, true));
   for (const button of document.querySelectorAll("button.run:not([type=submit])")) button.onclick = () => take({kind: button.dataset.kind});
   $("add-form").onsubmit = event => {
     event.preventDefault();
     const name = $("effect").value.trim().replaceAll(" ", "_");
-    if (catalogue.size && !catalogue.has(name)) return problem(`${name} is not in the catalogue; choose one of the list.`);
+    if (catalogue.size && !catalogue.has(name)) return problem(`${name} is not in the catalogue; choose one of the list.`, "/steps");
     return take(change("add", name, $("output").value.trim()));
   };
   $("effect").oninput = () => { suggest(); explain(); };
@@ -38,22 +41,20 @@ async function start() {
   try {
     await Files.start(() => { showParts(); suggest(); age(); });
   } catch (error) {
-    problem(error.message);
+    problem(error.message, "/state");
   }
   get("/effects").then(found => {
     found.effects.forEach(effect => catalogue.set(effect.name, effect));
     $("effects").replaceChildren(...found.effects.map(effect => new Option(effect.summary, effect.name)));
     explain();
   }).catch(() => {});
-  for (let answered = true;;) {
+  for (;;) {
     try {
       await Files.ready();
       await follow();
-      if (!answered) problem("");
-      answered = true;
+      problem("", "/state");
     } catch (error) {
-      answered = false;
-      problem(error.refused ? "The workbench was started again: open the address that it has printed." : "The workbench does not answer any more; start it again with the same command, and go on where you were.");
+      problem(error.refused ? "The workbench was started again: open the address that it has printed." : "The workbench does not answer any more; start it again with the same command, and go on where you were.", "/state");
     }
     await new Promise(done => setTimeout(done, document.hidden ? 5 * LOOK_MS : LOOK_MS));
   }
@@ -80,17 +81,26 @@ async function send(path, document_) {
   try {
     const reply = await fetch(path, {method: "POST", headers: {"Content-Type": "application/json"}, body: JSON.stringify(document_)});
     const answer = await reply.json();
-    problem(answer.error || "");
+    problem(answer.error || "", path);
     return reply.ok ? answer : null;
   } catch (error) {
-    problem("The workbench does not answer.");
+    problem("The workbench does not answer.", "/state");
     return null;
   }
 }
 
-function problem(text) {
-  if ($("problem").textContent !== text) $("problem").textContent = text;
-  $("problem").hidden = !text;
+// Why something was not done; "" once it was. Answers come in any order: one does not take away what another has said.
+function problem(text, of) {
+  if (text) problems.set(of, text);
+  else problems.delete(of);
+  const all = [...new Set(problems.values())].join(" ");
+  if ($("problem").textContent !== all) $("problem").textContent = all;
+  $("problem").hidden = !all;
+}
+
+// All but that nobody answers, which is so until somebody does.
+function forget() {
+  [...problems.keys()].filter(of => of !== "/state").forEach(of => problem("", of));
 }
 
 // For who does not see the page: one sentence when something has begun or ended.
@@ -157,11 +167,11 @@ function change(kind, effect, output) {
 }
 
 async function take(order) {
-  if (running) return problem("A step is under way; wait for it or cancel it.");
+  if (running) return problem("A step is under way; wait for it or cancel it.", "/steps");
   try {
     await Files.ready();
   } catch (error) {
-    return problem(error.message);
+    return problem(error.message, "/state");
   }
   const step = await send("/steps", {...Files.chosen, ...order});
   if (step) await follow();
