@@ -102,11 +102,31 @@ def linearise_and_differentiate(
     Raises:
         ModelError: as `sensitivities`.
     """
+    trajectory, kept, linear = differentiate(
+        motor, inputs, initial, keys, tolerance=tolerance, smooth=smooth, most_steps=most_steps
+    )
+    return trajectory, _by_key(keys, trajectory, kept), linear
+
+
+def differentiate(
+    motor: Motor,
+    inputs: Inputs,
+    initial: Mapping[str, float] | None,
+    keys: Sequence[str],
+    *,
+    tolerance: float = TOLERANCE,
+    smooth: bool = False,
+    most_steps: int | None = None,
+) -> tuple[Trajectory, Array, Linearisation]:
+    """As `linearise_and_differentiate`, with the derivatives of the states in their order, and of what is shown, (N, n, k).
+
+    Raises:
+        ModelError: as `sensitivities`.
+    """
     n, steps = len(motor.states()), inputs.time_s.size - 1
     matrices = np.empty((max(steps, 1), n, n + 6))[:steps]
     trajectory, kept = _forward(motor, inputs, initial, keys, (), tolerance, smooth, matrices, most_steps)
-    linear = Linearisation(tuple(trajectory.states), matrices)
-    return trajectory, _by_key(keys, trajectory, kept), linear
+    return trajectory, kept, Linearisation(tuple(trajectory.states), matrices)
 
 
 def sensitivities(

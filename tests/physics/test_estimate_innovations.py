@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations
+from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations, sums
 from motorlens_physics.estimate.model import sensitivities_of
 from motorlens_physics.estimate.noise import first_noise, likelier
 from motorlens_physics.estimate.run import prepare
@@ -79,6 +79,18 @@ def test_whitened_products_and_the_determinant_are_those_of_the_covariance(space
     np.testing.assert_allclose(white.T @ white, plain.T @ dense.inverse @ plain, rtol=1e-10)
     scale = filtered.scale.ravel()[dense.use]
     assert 2 * np.log(scale).sum() == pytest.approx(np.linalg.slogdet(dense.whole)[1], rel=1e-12)
+
+
+def test_sums_by_blocks_are_those_of_all_samples_together(space: StateSpace) -> None:
+    dense, y = Dense(space), np.random.default_rng(5).standard_normal((SAMPLES, CHANNELS, 4))
+    plain = y.reshape(-1, 4)[dense.use]
+    together = plain.T @ dense.inverse @ plain
+    for blocks in (1, 5, 40):
+        found = sums(space, y[:, :, :3], y[:, :, 3], blocks)
+        assert found.scores.shape == (min(blocks, SAMPLES), 3)
+        np.testing.assert_allclose(found.gram, together[:3, :3], rtol=1e-9)
+        np.testing.assert_allclose(found.scores.sum(axis=0), together[:3, 3], rtol=1e-9)
+        assert found.squares == pytest.approx(together[3, 3], rel=1e-10)
 
 
 def test_smoothed_disturbances_are_their_conditional_means(space: StateSpace) -> None:

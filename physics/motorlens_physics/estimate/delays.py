@@ -6,18 +6,17 @@ correlation method for estimation of time delay, doi:10.1109/TASSP.1976.1162830.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
+from motorlens_physics.estimate.fit import NEAR, Fit, fit
 from motorlens_physics.estimate.model import Model, predict
+from motorlens_physics.estimate.prior import Prior, around
 from motorlens_physics.estimate.run import Run
-
-if TYPE_CHECKING:
-    from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.weighed import Weighed, at
 
 Array = NDArray[np.float64]
 
@@ -27,6 +26,8 @@ LONGEST = 0.1
 MOST_OF_A_SAMPLE, SURE = 0.75, 4.0
 # Gain in log likelihood, twice, that a delay must bring: the 1 % level of the best of as many lags as there are.
 LEVEL = 6.6
+# How often late channels are moved on, and how many samples a delay is first unsure by (one standard deviation).
+REALIGNED, UNSURE = 6, 4.0
 
 
 def late_channels(model: Model, runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -44,6 +45,47 @@ def _moved(model: Model, run: Run, r: int) -> Run:
         if channel != "temperature":
             run = run.delayed(channel, lag_of(run.measured[:, c], shown[:, c], run.there[:, c]))
     return run
+
+
+def nearer(runs: tuple[Run, ...], found: Fit, prior: Prior) -> tuple[tuple[Run, ...], Fit]:
+    """Runs with late channels, and their fit, with the delays that fit best: a motor unlike its file has bent the first.
+
+    Their delays are fitted beside the parameters, and whole samples of them moved, until less than one is left.
+    """
+    late = [(r, channel) for r, run in enumerate(runs) for channel in run.late if channel in run.channels]
+    for r, channel in late:
+        prior = prior.joined(around(f"skew.{channel}@{r}", 0.0, UNSURE * runs[r].period_s))
+    for _ in range(REALIGNED):
+        found = fit(found.model, runs, prior, rounds=NEAR, enough=0.1)
+        left = {(r, channel): found.model.own[r][f"skew.{channel}"] for r, channel in late}
+        moves = {(r, channel): round(skew / runs[r].period_s) for (r, channel), skew in left.items()}
+        if not any(moves.values()):
+            break
+        for (r, channel), samples in moves.items():
+            runs = (*runs[:r], runs[r].delayed(channel, samples), *runs[r + 1 :])
+        rest = {
+            f"skew.{channel}@{r}": skew - moves[r, channel] * runs[r].period_s
+            for (r, channel), skew in left.items()
+        }
+        found = replace(found, model=found.model.with_values(rest))
+    return runs, found
+
+
+def realigned(point: Weighed, prior: Prior) -> Weighed:
+    """The point with channels moved by the whole samples that their skew has come to; itself if there are none."""
+    parts, values = list(point.parts), {}
+    for r, part in enumerate(parts):
+        for channel in part.run.channels:
+            key = f"skew.{channel}"
+            skew = point.model.own[r].get(key, 0.0)
+            if abs(skew) > MOST_OF_A_SAMPLE * part.run.period_s:
+                samples = round(skew / part.run.period_s)
+                run = parts[r].run.delayed(channel, samples)
+                parts[r] = replace(parts[r], run=run, used=run.there)
+                values[f"{key}@{r}"] = skew - samples * part.run.period_s
+    if not values:
+        return point
+    return at(point.model.with_values(values), replace(point, parts=tuple(parts)), prior)
 
 
 def lag_of(measured: Array, shown: Array, there: NDArray[np.bool_]) -> int:
@@ -92,7 +134,7 @@ class Delay:
         return f"{self.recording}: {self.channel} comes {late}; it was moved by as much. A lag of its sensor looks alike."
 
 
-def delays_of(found: "Fit", runs: Sequence[Run]) -> tuple[Delay, ...]:
+def delays_of(found: Fit, runs: Sequence[Run]) -> tuple[Delay, ...]:
     """The channels of fitted runs that are late, or early, beyond doubt and by most of a sample."""
     sd = found.sd()
     late = []

@@ -24,6 +24,11 @@ Array = NDArray[np.float64]
 
 # Damping is tried this often before a fit is taken to be at its end, each ten times the last.
 TRIES = 8
+# Closer to the minimum than this, in standard deviations, what the simulation's tolerance does to the cost is as large as
+# what a step gains: a step that does not lower it is the end.
+FLAT = 0.1
+# Steps with white noise, to come near.
+NEAR = 8
 
 
 @dataclass(frozen=True)
@@ -123,8 +128,8 @@ def minimise(
     for k in range(rounds):
         point = between(point)
         values = point.model.values()
-        cost = point.cost + prior.penalty(values)
         gram, gradient = point.normal()
+        cost = point.cost + prior.penalty(values)
         if not np.isfinite(gram).all():
             raise ModelError("the model's response to its parameters has no bound; start from other values")
         gram = gram + np.diag(1 / scale**2)
@@ -148,6 +153,8 @@ def minimise(
                 reached = np.inf
             if np.isfinite(reached) and reached < cost:
                 moved = True
+                break
+            if left < FLAT:
                 break
             damping = max(damping * 10, 1e-4)
         if not moved:

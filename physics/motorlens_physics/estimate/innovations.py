@@ -14,6 +14,7 @@ is left out.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+# Sums in any order; what is infinite stays so.
+FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 
 @dataclass(frozen=True)
@@ -63,17 +67,63 @@ class Filtered:
     gain: Array
 
 
+@dataclass(frozen=True)
+class Sums:
+    """Sums over white columns z (rows, k) and white errors e (rows,).
+
+    Attributes:
+        gram: (k, k) of z'z.
+        scores: (B, k) of z'e, over each block of time.
+        squares: of e'e.
+    """
+
+    gram: Array
+    scores: Array
+    squares: float
+
+
 def innovations(space: StateSpace, columns: Array) -> Filtered:
-    """Filter columns (N, C, m), such as errors and sensitivities of all channels."""
-    samples, channels = space.noise.shape
-    states = space.matrices.shape[1] + len(space.balances)
-    white = np.empty((samples, channels, columns.shape[2]))
-    scale, gain = np.empty((samples, channels)), np.zeros((samples, channels, states))
-    _filter(
-        space.matrices, space.shows, space.balances, space.holds, space.keeps, space.variance, space.noise, space.start,
-        np.ascontiguousarray(columns), white, scale, gain,
-    )  # fmt: skip
-    return Filtered(white, scale, gain)
+    """Filter columns (N, C, m), such as errors of all channels."""
+    return _Filter(space, columns.shape[2])(0, columns)
+
+
+def sums(space: StateSpace, columns: Array, error: Array, blocks: int) -> Sums:
+    """What least squares needs of innovations of columns (N, C, k) and errors (N, C), without keeping them."""
+    samples, _, count = columns.shape
+    edges = np.unique(np.linspace(0, samples, min(blocks, samples) + 1).astype(int))
+    total, scores = np.zeros((count + 1, count + 1)), np.empty((len(edges) - 1, count))
+    filters = _Filter(space, count + 1)
+    for block, (first, last) in enumerate(pairwise(edges.tolist())):
+        white = filters(
+            first, np.concatenate([columns[first:last], error[first:last, :, None]], axis=2)
+        ).white
+        flat = white.reshape(-1, count + 1)
+        products = flat.T @ flat
+        total += products
+        scores[block] = products[-1, :-1]
+    return Sums(total[:-1, :-1], scores, float(total[-1, -1]))
+
+
+class _Filter:
+    """The Kalman filter of some columns, on its way: blocks of samples are given one after another."""
+
+    def __init__(self, space: StateSpace, width: int) -> None:
+        n, count = space.matrices.shape[1], len(space.balances)
+        self._space, self._shape = space, (0.0,) * n
+        self._covariance = np.diag(np.concatenate([space.start, space.variance]))
+        self._states = np.zeros((n + count, width))
+
+    def __call__(self, first: int, columns: Array) -> Filtered:
+        """Take in the samples (S, C, m) from the first on."""
+        space, (samples, channels, _) = self._space, columns.shape
+        white, scale = np.empty(columns.shape), np.empty((samples, channels))
+        gain = np.zeros((samples, channels, len(self._states)))
+        _filter(
+            self._shape, space.matrices, space.shows, tuple(space.balances.tolist()), space.holds, space.keeps,
+            space.variance, space.noise, first, self._covariance, self._states, np.ascontiguousarray(columns), white, scale,
+            gain,
+        )  # fmt: skip
+        return Filtered(white, scale, gain)
 
 
 def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, Array]:
@@ -90,119 +140,118 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
         np.zeros((len(space.noise), count)), np.zeros((2, count)), np.zeros((2, channels))
     )  # fmt: skip
     _smooth(
-        space.matrices, space.shows, space.balances, space.holds, space.keeps, space.variance,
+        (0.0,) * space.matrices.shape[1], space.matrices, space.shows, tuple(space.balances.tolist()), space.holds,
+        space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
     return seen, of_inputs, of_channels
 
 
-@njit(cache=True, nogil=True)
-def _transition(matrices, balances, holds, keeps, k, F, B):  # type: ignore[no-untyped-def]
-    """F (s, s) from sample k to k + 1, and B (s, D): where the new part of each disturbance enters."""
-    n, count = matrices.shape[1], len(balances)
-    for r in range(n + count):
-        for c in range(n + count):
-            F[r, c] = 0.0
-        for d in range(count):
-            B[r, d] = 0.0
-    for r in range(n):
-        for c in range(n):
-            F[r, c] = matrices[k, r, c]
-    for d in range(count):
-        j, keep = balances[d], keeps[k, d]
-        for r in range(n):
-            first, last = matrices[k, r, n + j], matrices[k, r, n + 3 + j]
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-untyped-def]
+    """Where disturbances enter the states (n, D) from sample k to k + 1: as they were at k, and what is new at k + 1."""
+    for d in range(len(balances)):
+        j = balances[d]
+        for r in range(len(G)):
+            first, last = matrices[k, r, len(G) + j], matrices[k, r, len(G) + 3 + j]
             if holds[d]:
-                F[r, n + d] = first + last
+                G[r, d], late[r, d] = first + last, 0.0
             else:
-                F[r, n + d] = first + last * keep
-                B[r, d] = last
-        F[n + d, n + d] = keep
-        B[n + d, d] = 1.0
+                G[r, d], late[r, d] = first + last * keeps[k, d], last
 
 
-@njit(cache=True, nogil=True)
-def _filter(matrices, shows, balances, holds, keeps, variance, noise, start, y, white, scale, gain):  # type: ignore[no-untyped-def]
-    samples, channels = noise.shape
-    n, count, width = matrices.shape[1], len(balances), y.shape[2]
-    s = n + count
-    P, F, B, T = np.zeros((s, s)), np.zeros((s, s)), np.zeros((s, count)), np.zeros((s, s))
-    z, ahead = np.zeros((s, width)), np.zeros((s, width))
-    for r in range(n):
-        P[r, r] = start[r]
-    for d in range(count):
-        P[n + d, n + d] = variance[d]
-    for k in range(samples):
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _filter(  # type: ignore[no-untyped-def]
+    each, matrices, shows, balances, holds, keeps, variance, noise, begin, P, z, y, white, scale, gain
+):
+    # Lengths of tuples are known to the compiler: loops of three unroll.
+    n, count = len(each), len(balances)
+    s, channels, width = n + count, y.shape[1], y.shape[2]
+    A, G, late = np.zeros((n, s)), np.zeros((n, count)), np.zeros((n, count))
+    ahead, K = np.zeros((n, width)), np.zeros(s)
+    for row in range(y.shape[0]):
+        k = begin + row
         if k:
-            _transition(matrices, balances, holds, keeps, k - 1, F, B)
-            # F is zero below the motor's states but for its diagonal.
+            _entering(matrices, balances, holds, keeps, k - 1, G, late)
+            # What the states become of states and disturbances, times their covariance.
             for r in range(n):
                 for c in range(s):
                     total = 0.0
-                    for q in range(s):
-                        total += F[r, q] * P[q, c]
-                    T[r, c] = total
-            for r in range(n, s):
-                for c in range(s):
-                    T[r, c] = F[r, r] * P[r, c]
-            for r in range(s):
-                for c in range(r, s):
-                    if c < n:
-                        total = 0.0
-                        for q in range(s):
-                            total += T[r, q] * F[c, q]
-                    else:
-                        total = T[r, c] * F[c, c]
+                    for q in range(n):
+                        total += matrices[k - 1, r, q] * P[q, c]
                     for d in range(count):
-                        total += B[r, d] * B[c, d] * variance[d] * (1.0 - keeps[k - 1, d] ** 2)
+                        total += G[r, d] * P[n + d, c]
+                    A[r, c] = total
+            for d in range(count):
+                keep = keeps[k - 1, d]
+                fresh = variance[d] * (1.0 - keep * keep)
+                for e in range(d + 1):
+                    total = keep * keeps[k - 1, e] * P[n + e, n + d]
+                    if d == e:
+                        total += fresh
+                    P[n + d, n + e] = total
+                    P[n + e, n + d] = total
+                for r in range(n):
+                    total = keep * A[r, n + d] + late[r, d] * fresh
+                    P[r, n + d] = total
+                    P[n + d, r] = total
+            for r in range(n):
+                for c in range(r, n):
+                    total = 0.0
+                    for q in range(n):
+                        total += A[r, q] * matrices[k - 1, c, q]
+                    for d in range(count):
+                        keep = keeps[k - 1, d]
+                        total += A[r, n + d] * G[c, d]
+                        total += late[r, d] * late[c, d] * variance[d] * (1.0 - keep * keep)
                     P[r, c] = total
                     P[c, r] = total
-            for r in range(s):
+            for r in range(n):
                 for m in range(width):
-                    ahead[r, m] = 0.0
-                for q in range(s if r < n else r + 1):
-                    f = F[r, q]
-                    if f != 0.0:
-                        for m in range(width):
-                            ahead[r, m] += f * z[q, m]
-            for r in range(s):
+                    total = 0.0
+                    for q in range(n):
+                        total += matrices[k - 1, r, q] * z[q, m]
+                    for d in range(count):
+                        total += G[r, d] * z[n + d, m]
+                    ahead[r, m] = total
+            for r in range(n):
                 for m in range(width):
                     z[r, m] = ahead[r, m]
+            for d in range(count):
+                for m in range(width):
+                    z[n + d, m] *= keeps[k - 1, d]
         for c in range(channels):
             h = shows[c]
             if not noise[k, c] < np.inf:
-                scale[k, c] = np.inf
+                scale[row, c] = np.inf
                 for m in range(width):
-                    white[k, c, m] = 0.0
+                    white[row, c, m] = 0.0
                 continue
             power = P[h, h] + noise[k, c]
             root = np.sqrt(power)
-            scale[k, c] = root
+            scale[row, c] = root
             for r in range(s):
-                gain[k, c, r] = P[r, h] / power
+                K[r] = P[r, h] / root
+                gain[row, c, r] = K[r] / root
             for m in range(width):
-                white[k, c, m] = (y[k, c, m] - z[h, m]) / root
+                white[row, c, m] = (y[row, c, m] - z[h, m]) / root
             for r in range(s):
-                g = gain[k, c, r] * root
-                if g != 0.0:
-                    for m in range(width):
-                        z[r, m] += g * white[k, c, m]
+                for m in range(width):
+                    z[r, m] += K[r] * white[row, c, m]
             for r in range(s):
-                for q in range(r, s):
-                    P[r, q] -= gain[k, c, r] * gain[k, c, q] * power
-                    P[q, r] = P[r, q]
+                for q in range(s):
+                    P[r, q] -= K[r] * K[q]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _smooth(  # type: ignore[no-untyped-def]
-    matrices, shows, balances, holds, keeps, variance, white, scale, gain, seen, of_inputs, of_channels
+    each, matrices, shows, balances, holds, keeps, variance, white, scale, gain, seen, of_inputs, of_channels
 ):
-    samples, channels = white.shape
-    n, count = matrices.shape[1], len(balances)
-    s = n + count
-    F, B = np.zeros((s, s)), np.zeros((s, count))
-    u, past = np.zeros(s), np.zeros(s)
-    L, T, W = np.zeros((s, s)), np.zeros((s, s)), np.zeros(s)
+    n, count = len(each), len(balances)
+    s, samples, channels = n + count, white.shape[0], white.shape[1]
+    G, late, fresh, share = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count), np.zeros(count)
+    u, past, W = np.zeros(s), np.zeros(s), np.zeros(s)
+    L, T = np.zeros((s, s)), np.zeros((s, s))
     for back in range(samples):
         k = samples - 1 - back
         for step in range(channels):
@@ -214,11 +263,11 @@ def _smooth(  # type: ignore[no-untyped-def]
             along, across = 0.0, 0.0
             for r in range(s):
                 along += gain[k, c, r] * u[r]
-                W[r] = 0.0
+                total = 0.0
                 for q in range(s):
-                    W[r] += L[r, q] * gain[k, c, q]
-            for r in range(s):
-                across += gain[k, c, r] * W[r]
+                    total += L[r, q] * gain[k, c, q]
+                W[r] = total
+                across += gain[k, c, r] * total
             error = white[k, c] / scale[k, c] - along
             of_channels[0, c] += error**2
             of_channels[1, c] += 1.0 / power + across
@@ -228,41 +277,57 @@ def _smooth(  # type: ignore[no-untyped-def]
                 L[h, r] -= W[r]
             L[h, h] += 1.0 / power + across
         if k:
-            _transition(matrices, balances, holds, keeps, k - 1, F, B)
-        else:
-            for d in range(count):
-                for r in range(s):
-                    B[r, d] = 1.0 if r == n + d else 0.0
+            _entering(matrices, balances, holds, keeps, k - 1, G, late)
         for d in range(count):
-            fresh = variance[d] * (1.0 - keeps[k - 1, d] ** 2) if k else variance[d]
-            share = fresh / variance[d] if variance[d] > 0 else 0.0
-            score, spread = 0.0, 0.0
-            for r in range(s):
-                if B[r, d] != 0.0:
-                    score += B[r, d] * u[r]
-                    for q in range(s):
-                        spread += B[r, d] * L[r, q] * B[q, d]
-            seen[k, d] = fresh * score
-            of_inputs[0, d] += share * score**2
-            of_inputs[1, d] += share * spread
-        if k:
-            for c in range(s):
-                past[c] = F[c, c] * u[c] if c >= n else 0.0
-                for q in range(n):
-                    past[c] += F[q, c] * u[q]
-            for r in range(s):
-                for c in range(s):
-                    T[r, c] = L[r, c] * F[c, c] if c >= n else 0.0
+            # What is new in a disturbance at this sample; at the first, all of it.
+            share[d] = 1.0
+            if k:
+                share[d] -= keeps[k - 1, d] ** 2
+            fresh[d] = variance[d] * share[d]
+            score, spread = u[n + d], L[n + d, n + d]
+            if k and not holds[d]:
+                for r in range(n):
+                    score += late[r, d] * u[r]
+                    spread += 2.0 * late[r, d] * L[r, n + d]
                     for q in range(n):
-                        T[r, c] += L[r, q] * F[q, c]
+                        spread += late[r, d] * L[r, q] * late[q, d]
+            seen[k, d] = fresh[d] * score
+            of_inputs[0, d] += share[d] * score**2
+            of_inputs[1, d] += share[d] * spread
+        if k:
+            for c in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += matrices[k - 1, q, c] * u[q]
+                past[c] = total
+            for d in range(count):
+                total = keeps[k - 1, d] * u[n + d]
+                for q in range(n):
+                    total += G[q, d] * u[q]
+                past[n + d] = total
             for r in range(s):
                 u[r] = past[r]
-                for c in range(r, s):
-                    total = F[r, r] * T[r, c] if r >= n else 0.0
+                for c in range(n):
+                    total = 0.0
                     for q in range(n):
-                        total += F[q, r] * T[q, c]
+                        total += L[r, q] * matrices[k - 1, q, c]
+                    T[r, c] = total
+                for d in range(count):
+                    total = keeps[k - 1, d] * L[r, n + d]
+                    for q in range(n):
+                        total += L[r, q] * G[q, d]
+                    T[r, n + d] = total
+            for c in range(s):
+                for r in range(n):
+                    total = 0.0
+                    for q in range(n):
+                        total += matrices[k - 1, q, r] * T[q, c]
                     L[r, c] = total
-                    L[c, r] = total
+                for d in range(count):
+                    total = keeps[k - 1, d] * T[n + d, c]
+                    for q in range(n):
+                        total += G[q, d] * T[q, c]
+                    L[n + d, c] = total
 
 
 def share_that_remains(time_s: Array, lasts_s: Array) -> Array:
@@ -272,4 +337,12 @@ def share_that_remains(time_s: Array, lasts_s: Array) -> Array:
         return np.asarray(np.where(lasts_s > 0, np.exp(-steps / lasts_s), 0.0))
 
 
-__all__: list[Any] = ["Filtered", "StateSpace", "disturbances", "innovations", "share_that_remains"]
+__all__: list[Any] = [
+    "Filtered",
+    "StateSpace",
+    "Sums",
+    "disturbances",
+    "innovations",
+    "share_that_remains",
+    "sums",
+]

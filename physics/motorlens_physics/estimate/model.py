@@ -20,7 +20,7 @@ from motorlens_physics.estimate.forcing import SETTLED, as_read, is_rise, of_ang
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.sensitivity import Linearisation, linearise_and_differentiate
+from motorlens_physics.sensitivity import Linearisation, differentiate
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Inputs, Trajectory, simulate
 
@@ -40,11 +40,13 @@ class Model:
         own: per run, by name: "initial.STATE", "load" (N m, an unmeasured constant load), "ambient" (K, an unmeasured
             ambient), "skew.CHANNEL" (s, how late a channel is sampled).
         held: per run, whether voltage, load torque and ambient were held between samples, each.
+        tolerance: relative error of the simulation.
     """
 
     file: MotorFile
     own: tuple[Mapping[str, float], ...]
     held: tuple[tuple[bool, bool, bool], ...] = field(default=())
+    tolerance: float = TOLERANCE
 
     def values(self) -> dict[str, float]:
         """All parameters by key."""
@@ -124,7 +126,11 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
         ModelError: the simulation cannot go on.
     """
     trajectory = simulate(
-        motor_of(model, run), inputs_of(model, run, r), start_of(model, r), tolerance=TOLERANCE, smooth=True
+        motor_of(model, run),
+        inputs_of(model, run, r),
+        start_of(model, r),
+        tolerance=model.tolerance,
+        smooth=True,
     )
     return trajectory, shown(model, run, r, _stack(run, trajectory))
 
@@ -177,11 +183,16 @@ def sensitivities_of(
         if ("@" not in key and not _is_sensor(model, key) and not key.startswith((*turned, *absent)))
         or name.startswith("initial.")
     )
-    trajectory, derivative, linear = linearise_and_differentiate(
-        motor, inputs, start, of_motor, tolerance=TOLERANCE, smooth=True
+    trajectory, derivative, linear = differentiate(
+        motor, inputs, start, of_motor, tolerance=model.tolerance, smooth=True
     )
     y = _stack(run, trajectory)
     columns = np.zeros((len(y), len(run.channels), len(keys)))
+    at: slice | list[int] = [j for j, name in enumerate(local) if name in of_motor]
+    if at == list(range(len(of_motor))):
+        at = slice(len(of_motor))  # written in one go, not one by one
+    for c, channel in enumerate(run.channels if of_motor else ()):
+        columns[:, c, at] = derivative[:, linear.states.index(STATE_OF[channel])]
     outside = [
         key
         for key in keys
@@ -189,11 +200,7 @@ def sensitivities_of(
         or (_is_sensor(model, key) and _sensor(model, key).channel not in run.channels)
     ]
     for j, name in enumerate(local):
-        if "@" in name:
-            continue
-        if name in of_motor:
-            columns[:, :, j] = _stack_states(run, derivative[name])
-        elif name == "load":
+        if name == "load":
             braked = linear.respond(torque_Nm=-np.ones((len(y), 1)))
             columns[:, :, j] = _stack_states(run, braked)[:, :, 0]
         elif name == "ambient" and "temperature" in run.channels:

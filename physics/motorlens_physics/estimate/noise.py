@@ -29,11 +29,15 @@ BALANCES = np.array([0, 1, 1])
 VOLTAGE, LOAD, TORQUE = range(3)
 # How long the unmeasured torque lasts, in samples: the likelihood chooses.
 LASTS = (30.0, 300.0, 3000.0)
-# Samples in a stretch of a long recording, and how many stretches the variances are estimated from.
+# Samples in a stretch of a long recording, and how many stretches the variances are estimated from: as many samples as tell
+# a variance within 2 %.
 STRETCH, STRETCHES = 1024, 6
-# Variances have settled when an update changes them by less than this share; disturbances are followed down to this
-# share of their largest.
-ENOUGH, SMALLEST = 0.005, 1e-8
+PIECE = STRETCH * STRETCHES
+# Variances have settled when an update gains less than this in twice the logarithmic likelihood: a twentieth of a standard
+# deviation of the least known of them. Disturbances are followed down to this share of their largest.
+ENOUGH, SMALLEST = 0.0025, 1e-8
+# An extrapolation takes updates to shorten by this share at the slowest, and goes this far in the logarithm.
+SLOWEST, FARTHEST = 0.95, 3.0
 # Variances are believed down to this share of the channel's mean square: ten times the integration's own error, squared.
 LEAST = 1e-9
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
@@ -57,6 +61,19 @@ class Noise:
     most: Array
     lasts_s: float
     floor: Array
+
+    def within(self, channels: Array, disturbances: Array) -> "Noise":
+        """With other variances (C,) and (3,), as far as they are believed."""
+        least = SMALLEST * self.most
+        return replace(
+            self,
+            channels=np.maximum(channels, self.floor),
+            disturbances=np.clip(disturbances, least, self.most),
+        )
+
+    def like(self, other: "Noise") -> "Noise":
+        """As another found it in a piece of the same recording."""
+        return replace(self, lasts_s=other.lasts_s).within(other.channels, other.disturbances)
 
     def space(self, run: Run, linear: Linearisation, used: NDArray[np.bool_]) -> StateSpace:
         """The state-space model of a run's errors; samples (N, C) not `used` are passed over."""
@@ -102,41 +119,62 @@ def _columns(y: Array, run: Run) -> list[tuple[Array, NDArray[np.bool_]]]:
 def likelier(
     noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_], updates: int
 ) -> tuple[Noise, float]:
-    """Noise under which the errors (N, C) are likelier, and twice their negative logarithmic likelihood."""
-    stretches = _stretches(len(error))
+    """Noise under which the errors (N, C) are likelier, and twice their negative logarithmic likelihood.
+
+    Every update raises the likelihood, but nears its end by a constant share: after two, each variance leaps to where that
+    would end (Aitken's extrapolation), and comes back if the likelihood there is lower.
+    """
     space = noise.space(run, linear, used)
-    parts = [(rows, _stretch(space, rows, error)) for rows in stretches]
-    total = float("inf")
+    parts = [(_stretch(space, rows, error), error[rows]) for rows in _stretches(len(error))]
+    path, back, total = [noise], noise, float("inf")
     for _ in range(updates):
-        total, inputs, sensors = 0.0, np.zeros((2, 3)), np.zeros((2, error.shape[1]))
-        for rows, part in parts:
-            here = replace(
-                part,
-                variance=noise.disturbances,
-                noise=np.where(np.isfinite(part.noise), noise.channels, np.inf),
-            )
-            filtered = innovations(here, error[rows][:, :, None])
-            finite = np.isfinite(filtered.scale)
-            total += float(np.sum(filtered.white**2) + 2 * np.sum(np.log(filtered.scale[finite])))
-            _, of_inputs, of_channels = disturbances(here, filtered)
-            inputs, sensors = inputs + of_inputs, sensors + of_channels
-        # To the full ratio, not its root: it is a fixed point of both, and nearer.
-        likely = replace(
-            noise,
-            channels=np.maximum(noise.channels * _ratio(sensors), noise.floor),
-            disturbances=np.clip(noise.disturbances * _ratio(inputs), SMALLEST * noise.most, noise.most),
-        )
-        settled = _settled(noise.channels, likely.channels) and _settled(
-            noise.disturbances, likely.disturbances
-        )
-        noise = likely
-        if settled:
+        leapt = back is not path[-1] and len(path) == 1
+        after, here = _updated(path[-1], parts)
+        if leapt and here > total:
+            path = [back]
+            continue
+        won, total = total - here, here
+        back = after
+        path.append(after)
+        if won < ENOUGH:
             break
-    return noise, total
+        if len(path) == 3:
+            path = [_leap(*path)]
+    return back, total
 
 
-def _settled(before: Array, after: Array) -> bool:
-    return bool(np.all(np.abs(after - before) <= ENOUGH * before))
+def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[Noise, float]:
+    """One step of maximum likelihood from a noise, and twice the negative logarithmic likelihood before it."""
+    total, inputs, sensors = 0.0, np.zeros((2, 3)), np.zeros((2, len(noise.channels)))
+    for part, error in parts:
+        here = replace(
+            part,
+            variance=noise.disturbances,
+            noise=np.where(np.isfinite(part.noise), noise.channels, np.inf),
+        )
+        filtered = innovations(here, error[:, :, None])
+        finite = np.isfinite(filtered.scale)
+        total += float(np.sum(filtered.white**2) + 2 * np.sum(np.log(filtered.scale[finite])))
+        _, of_inputs, of_channels = disturbances(here, filtered)
+        inputs, sensors = inputs + of_inputs, sensors + of_channels
+    # To the full ratio, not its root: it is a fixed point of both, and nearer.
+    return noise.within(noise.channels * _ratio(sensors), noise.disturbances * _ratio(inputs)), total
+
+
+def _leap(before: Noise, between: Noise, after: Noise) -> Noise:
+    """Where three noises end, if each logarithm of a variance goes on by the share by which it went less far than before."""
+
+    def end(x: Array, y: Array, z: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = np.log(y / x), np.log(z / y)
+            share = np.where(first != 0, second / first, 0.0)
+            more = second * share / (1 - np.clip(share, -1.0, SLOWEST))
+        return np.asarray(z * np.exp(np.clip(np.nan_to_num(more), -FARTHEST, FARTHEST)))
+
+    return after.within(
+        end(before.channels, between.channels, after.channels),
+        end(before.disturbances, between.disturbances, after.disturbances),
+    )
 
 
 def _ratio(score: Array) -> Array:
@@ -146,7 +184,7 @@ def _ratio(score: Array) -> Array:
 
 
 def _stretches(samples: int) -> list[slice]:
-    if samples <= STRETCH * STRETCHES:
+    if samples <= PIECE:
         return [slice(0, samples)]
     begins = np.linspace(0, samples - STRETCH, STRETCHES).astype(int)
     return [slice(int(begin), int(begin) + STRETCH) for begin in begins]

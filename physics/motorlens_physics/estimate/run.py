@@ -154,6 +154,25 @@ class Run:
         ]
         return replace(self, converters=tuple(found))
 
+    def part(self, rows: slice, file: MotorFile) -> "Run":
+        """Some consecutive samples as a run of its own, as they are: none is averaged with another."""
+        inputs, measured = self.inputs.part(rows), self.measured[rows]
+        shaft = None if self.shaft is None else {name: y[rows] for name, y in self.shaft.items()}
+        start = first_states(file, self.channels, measured, inputs.ambient_C, inputs.voltage_V)
+        return replace(
+            self, inputs=inputs, measured=measured, valid=self.valid[rows], there=self.there[rows], every=1, start=start,
+            floor=self.floor * np.sqrt(self.every), angle=None if self.angle is None else self.angle[rows], shaft=shaft,
+            corrections=None if self.corrections is None else self.corrections[rows],
+        )  # fmt: skip
+
+    def liveliest(self, rows: int) -> slice:
+        """The `rows` consecutive samples in which the inputs change most, relative to how much they ever do."""
+        inputs = (self.inputs.voltage_V, self.inputs.load_torque_Nm)
+        change = sum(np.diff(y) ** 2 / spread for y in inputs if (spread := float(np.var(y))) > 0)
+        total = np.concatenate([[0.0, 0.0], np.cumsum(np.broadcast_to(change, len(self.measured) - 1))])
+        begin = int(np.argmax(total[rows:] - total[:-rows]))
+        return slice(begin, min(begin + rows, len(self.measured)))
+
     def fresh(self) -> NDArray[np.bool_]:
         """(rows,) averaged rows of which every sample is valid."""
         return np.asarray(self.average(self.valid.astype(np.float64)) > 0.999)
@@ -182,7 +201,6 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     measured = np.empty((rows, len(used)))
     present = np.ones((rows, len(used)), dtype=bool)
     floor, quantum = np.empty(len(used)), np.empty(len(used))
-    start = {"i": 0.0, "w": 0.0, "theta": 0.0}
     # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other, and a
     # winding does not follow a draught.
     ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
@@ -203,17 +221,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         coarse = quantisation_step(y) / np.sqrt(12) * np.sqrt(dwell if dwell > 3 else 1.0)
         quantum[k] = coarse
         floor[k] = max(coarse, 1e-4 * spread, 1e-9) / np.sqrt(every)
-        start[STATE_OF[channel]] = float(np.median(measured[:FIRST, k]))
-    if "temperature" in used:
-        start["theta"] = float(
-            np.median(measured[: max(3, rows // 1000), used.index("temperature")]) - ambient[0]
-        )
-    # What was not measured follows from the voltage balance at its steady state.
-    voltage, resistance = recording.channels["voltage"], file.motor.resistance(start["theta"])
-    if "speed" not in used and "current" in used:
-        start["w"] = float((voltage[0] - resistance * start["i"]) / file.motor.ke)
-    if "current" not in used and "speed" in used:
-        start["i"] = float((voltage[0] - file.motor.ke * start["w"]) / resistance)
+    start = first_states(file, used, measured, ambient, recording.channels["voltage"])
     load = recording.channels.get("load_torque", np.zeros(rows))
     inputs = Inputs(time, recording.channels["voltage"], load, ambient)
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
@@ -256,6 +264,25 @@ def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, 
     return tuple(
         replace(run, turns=run.angle is not None if measured else run is finest and fine) for run in runs
     )
+
+
+def first_states(
+    file: MotorFile, used: Sequence[str], measured: Array, ambient_C: Array, voltage_V: Array
+) -> dict[str, float]:
+    """First guess of where a motor starts, from the first samples of its measured channels (N, C)."""
+    start = {"i": 0.0, "w": 0.0, "theta": 0.0}
+    for k, channel in enumerate(used):
+        first = max(FIRST, len(measured) // 1000) if channel == "temperature" else FIRST
+        start[STATE_OF[channel]] = float(np.median(measured[:first, k]))
+    if "temperature" in used:
+        start["theta"] -= float(ambient_C[0])
+    # What was not measured follows from the voltage balance at its steady state.
+    resistance = file.motor.resistance(start["theta"])
+    if "speed" not in used and "current" in used:
+        start["w"] = float((voltage_V[0] - resistance * start["i"]) / file.motor.ke)
+    if "current" not in used and "speed" in used:
+        start["i"] = float((voltage_V[0] - file.motor.ke * start["w"]) / resistance)
+    return start
 
 
 def hanging(y: Array) -> NDArray[np.bool_]:

@@ -1,0 +1,219 @@
+"""Errors and sensitivities of recordings at some parameters, weighed by the noise that was found in the recordings.
+
+`Weighed` is the point at which `fit.minimise` stands; `minimised` goes on from it, noise and corrected inputs found along
+the way.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.fit import minimise
+from motorlens_physics.estimate.innovations import Sums, disturbances, innovations, sums
+from motorlens_physics.estimate.model import Model, error_of, sensitivities_of
+from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise, lasting, likelier
+from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.sensitivity import Linearisation
+from motorlens_physics.threads import on_all_cores
+
+Array = NDArray[np.float64]
+
+# Updates of the noise at the beginning, and while parameters are sought.
+AT_FIRST, BRIEFLY = 6, 8
+# Blocks of time between which the scatter of the scores is looked at, and how many each run has at least.
+BLOCKS, LEAST_BLOCKS = 64, 8
+# Steps, with the noise as it is found.
+ROUNDS = 20
+# The fit ends this close to the minimum, in standard deviations of the result.
+ENOUGH = 0.02
+# Close enough to look at how the inputs ran, and at outliers: what a step changes is then noise.
+CLOSE = 1.0
+
+
+@dataclass(frozen=True)
+class Errors:
+    """One run at some parameters.
+
+    Attributes:
+        run: with its corrected inputs.
+        error: (N, C) beside the inputs as recorded.
+        columns: (N, C, k) sensitivities along the corrected inputs, for the parameters that concern this run.
+        mine: (k,) their positions.
+        linear: the linearised motor.
+        noise: of the run.
+        used: (N, C) samples that count.
+    """
+
+    run: Run
+    error: Array
+    columns: Array
+    mine: tuple[int, ...]
+    linear: Linearisation
+    noise: Noise
+    used: NDArray[np.bool_]
+
+    def sums(self, blocks: int) -> Sums:
+        """Of white sensitivities and errors."""
+        return sums(self.noise.space(self.run, self.linear, self.used), self.columns, self.error, blocks)
+
+    def squares(self) -> float:
+        """Of white errors alone."""
+        space = self.noise.space(self.run, self.linear, self.used)
+        return float(np.sum(innovations(space, self.error[:, :, None]).white ** 2))
+
+    def with_noise(self, updates: int, *, outliers: bool) -> "Errors":
+        """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
+        noise, _ = likelier(self.noise, self.run, self.linear, self.error, self.used, updates)
+        space = noise.space(self.run, self.linear, self.run.there)
+        filtered = innovations(space, self.error[:, :, None])
+        used = self.run.there
+        if outliers:
+            used = used & (np.abs(filtered.white[:, :, 0]) <= OUTLIER)
+        seen, _, _ = disturbances(space, filtered)
+        # A load brakes: what the torque balance got too little, the load sensor showed too much.
+        corrections = np.column_stack([seen[:, VOLTAGE], -seen[:, LOAD]])
+        return replace(self, noise=noise, used=used, run=self.run.corrected(corrections))
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """All runs at some parameters: a `Point`."""
+
+    model: Model
+    parts: tuple[Errors, ...]
+    size: int
+    inflation: float = 1.0
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """With their corrected inputs."""
+        return tuple(part.run for part in self.parts)
+
+    @cached_property
+    def sums(self) -> list[Sums]:
+        """Of each run, before the inflation."""
+        samples = sum(len(part.error) for part in self.parts)
+
+        def one(part: Errors) -> Sums:
+            return part.sums(max(round(BLOCKS * len(part.error) / samples), LEAST_BLOCKS))
+
+        return on_all_cores(one, self.parts)
+
+    @cached_property
+    def cost(self) -> float:
+        """Whitened sum of squares, over the inflation."""
+        squares = (
+            (one.squares for one in self.sums)
+            if "sums" in vars(self)
+            else on_all_cores(Errors.squares, self.parts)
+        )
+        return sum(squares) / self.inflation
+
+    def tempered(self) -> "Weighed":
+        """With an inflation by which blocks of time scatter more than their noise says, at least 1.
+
+        What no noise explains has the same sign for long. Its samples are worth less than as many of noise, beside what is
+        known of the parameters beforehand (Bissiri, Holmes and Walker 2016, doi:10.1111/rssb.12158).
+        """
+        gram, scores = self.normal()[0] * self.inflation, self.scores()
+        told = np.diagonal(gram) > 0
+        scatter = np.sum((scores - scores.mean(axis=0)) ** 2, axis=0)[told] / np.diagonal(gram)[told]
+        return replace(self, inflation=max(float(np.median(scatter)), 1.0))
+
+    def normal(self) -> tuple[Array, Array]:
+        """J^T J and J^T e, over the inflation."""
+        gram = np.zeros((self.size, self.size))
+        for part, one in zip(self.parts, self.sums, strict=True):
+            gram[np.ix_(part.mine, part.mine)] += one.gram
+        return gram / self.inflation, self.scores().sum(axis=0) / self.inflation
+
+    def scores(self) -> Array:
+        """(B, k) sums of J^T e over blocks of time, before the inflation."""
+        wide = []
+        for part, one in zip(self.parts, self.sums, strict=True):
+            wide.append(np.zeros((len(one.scores), self.size)))
+            wide[-1][:, part.mine] = one.scores
+        return np.concatenate(wide)
+
+
+def weighed(model: Model, runs: Sequence[Run], noises: Sequence[Noise], used: Sequence[NDArray[np.bool_]],
+            keys: Sequence[str]) -> Weighed:  # fmt: skip
+    """Errors and sensitivities of all runs at a model, along their corrected inputs.
+
+    Raises:
+        ModelError: a simulation cannot go on.
+    """
+
+    def one(r: int) -> Errors:
+        run = runs[r].holding(model.held[r])
+        mine = tuple(k for k, key in enumerate(keys) if "@" not in key or key.endswith(f"@{r}"))
+        _, shown, columns, linear = sensitivities_of(model, run, r, [keys[k] for k in mine])
+        error = error_of(model, run, r, run.measured - shown, linear)
+        return Errors(run, error, columns, mine, linear, noises[r], used[r])
+
+    return Weighed(model, tuple(on_all_cores(one, range(len(runs)))), len(keys))
+
+
+def at(model: Model, latest: Weighed, prior: Prior) -> Weighed:
+    """A point at other parameters, with the noise, the corrections and the samples of the latest."""
+    parts = latest.parts
+    return weighed(
+        model,
+        [part.run for part in parts],
+        [part.noise for part in parts],
+        [part.used for part in parts],
+        prior.keys,
+    )
+
+
+def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers: bool = False) -> Weighed:
+    """The same point under the noise that its errors show."""
+
+    def one(part: Errors) -> Errors:
+        if lasting_too:
+            part = replace(part, noise=lasting(part.noise, part.run, part.linear, part.error, part.used))
+        return part.with_noise(updates, outliers=outliers)
+
+    return replace(point, parts=tuple(on_all_cores(one, point.parts)))
+
+
+def minimised(
+    point: Weighed, prior: Prior, progress: Callable[[str], None], *, outliers: bool
+) -> tuple[Weighed, Array, float]:
+    """The best parameters from a point, noise and corrected inputs found along the way."""
+    latest = [point]
+
+    def between(here: Weighed) -> Weighed:
+        latest[0] = noisier(here, BRIEFLY, outliers=outliers)
+        return latest[0]
+
+    return minimise(
+        point, prior, lambda model: at(model, latest[0], prior), rounds=ROUNDS,
+        enough=ENOUGH if outliers else CLOSE, between=between, progress=progress,
+    )  # fmt: skip
+
+
+def unlikely(point: Weighed, prior: Prior) -> float:
+    """Twice the negative logarithmic likelihood of a point, priors included."""
+    parts = (
+        likelier(part.noise, part.run, part.linear, part.error, part.used, BRIEFLY)[1] for part in point.parts
+    )
+    return sum(parts) + prior.penalty(point.model.values())
+
+
+def first_point(model: Model, runs: Sequence[Run], keys: Sequence[str]) -> Weighed:
+    """The point at a model with all samples, and noise as large as the errors there."""
+    torque = model.file.rated.torque_Nm
+    unknown = [first_noise(run, np.ones_like(run.measured), torque) for run in runs]
+    point = weighed(model, runs, unknown, [run.there for run in runs], keys)
+    parts = [replace(part, noise=first_noise(part.run, part.error, torque)) for part in point.parts]
+    return replace(point, parts=tuple(parts))
+
+
+def begun(model: Model, runs: Sequence[Run], prior: Prior) -> Weighed:
+    """A first point, with its noise found, along inputs corrected by it."""
+    return at(model, noisier(first_point(model, runs, prior.keys), AT_FIRST, lasting_too=True), prior)

@@ -1,0 +1,91 @@
+"""Long recordings are begun in pieces: the end must be where a search of all samples ends, and where the truth is."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from helpers import plain_motor
+from helpers.plain_motor import RATED, TYPICAL, recorded
+
+from motorlens_physics.estimate import estimate as estimation
+from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.pieces import as_found
+from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
+from motorlens_physics.recording import Recording
+
+PLATE = Rated(
+    voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
+    torque_Nm=RATED["load_torque"], rise_K=RATED["temperature"],
+)  # fmt: skip
+FILE = MotorFile("plate", Motor(), PLATE)
+ROWS, LATE = 10_000, 7
+
+
+def two_runs() -> tuple[Run, ...]:
+    """One of many samples, its speed late, and one of few; both held, noisy; the motor a fifth from its file."""
+    motor = {key: value * (1.2 if k % 2 else 0.85) for k, (key, value) in enumerate(TYPICAL.items())}
+    rng, made = np.random.default_rng(6), []
+    for rows, late in ((ROWS, LATE), (1500, 0)):
+        time, channels = recorded(motor, plain_motor.Test(0.002, rows, 250, True, 0.004), rng)
+        channels["speed"] = np.concatenate(
+            [np.repeat(channels["speed"][:1], late), channels["speed"][: rows - late]]
+        )
+        made.append(Recording(f"{rows} samples", time, channels))
+    return prepare_all(made, FILE)
+
+
+@pytest.mark.fit
+def test_pieces_lead_where_all_samples_lead(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = two_runs()
+    pieces = estimate(FILE, runs)
+    monkeypatch.setattr(estimation, "PIECE", 10 * ROWS)
+    whole = estimate(FILE, runs)
+
+    def told(found: Estimate) -> tuple[object, ...]:
+        return (
+            found.converged,
+            found.fit.model.held,
+            [dict(run.late) for run in found.runs],
+            [len(run) for run in found.runs],
+        )
+
+    assert told(pieces) == told(whole)
+    assert pieces.runs[0].late == {"speed": LATE} and pieces.fit.model.held[0][:2] == (True, True)
+    keys, sd = whole.fit.prior.keys, np.sqrt(np.diagonal(whole.fit.covariance))
+    ends, meant = (np.array([found.fit.model.values()[key] for key in keys]) for found in (pieces, whole))
+    # Both stop within a twentieth of a deviation of where their noise leads, which is found anew.
+    assert np.abs((ends - meant) / sd).max() < 0.15
+    np.testing.assert_allclose(np.sqrt(np.diagonal(pieces.fit.covariance)), sd, rtol=0.05)
+
+
+def test_a_piece_is_the_liveliest_part_and_starts_where_its_samples_say() -> None:
+    rows = 1000
+    time, still = np.arange(rows) * 1e-3, np.full(rows, 100.0)
+    volts = still + np.where((time >= 0.7) & (time < 0.8), 50.0 * np.sin(200 * time), 0.0)
+    speed, current = np.linspace(0, 100, rows), np.linspace(3, 1, rows)
+    recording = Recording(
+        "still", time, {"voltage": volts, "current": current, "speed": speed, "temperature": still}
+    )
+    run = prepare_all([recording], FILE)[0]
+    rows_of = run.liveliest(200)
+    assert 600 <= rows_of.start <= 700 and rows_of.stop == rows_of.start + 200
+    piece = run.part(rows_of, FILE)
+    assert len(piece.measured) == 200 and piece.every == 1
+    assert piece.start["w"] == speed[rows_of.start + 1] and piece.start["i"] == current[rows_of.start + 1]
+    assert piece.start["theta"] == 100.0 - PLATE_AMBIENT
+    # What was found of the piece is taken over, once.
+    late = dataclasses.replace(
+        piece.delayed("speed", 3), inputs=dataclasses.replace(piece.inputs, held=(True, False, False))
+    )
+    like = as_found(run, late)
+    assert (
+        like.late == {"speed": 3}
+        and like.inputs.hold == (True, False, False)
+        and as_found(like, late).late == like.late
+    )
+
+
+PLATE_AMBIENT = PLATE.ambient_C
