@@ -4,6 +4,7 @@ The bench feeds converter codes over one serial line of the board; what the boar
 measured and what its sensor makes of it, is passed on to a pseudo-terminal, on which `motorlens run` listens.
 """
 
+import re
 import socket
 import subprocess
 import tempfile
@@ -30,7 +31,6 @@ class OnBoard:
         board: which core.
         exported: the folder of `motorlens export SENSOR --c DIR`, with the default name.
         bench: what drives it.
-        outputs: how many estimates the sensor gives.
         pass_on: takes what the board sends, as it comes.
 
     Raises:
@@ -38,12 +38,12 @@ class OnBoard:
     """
 
     def __init__(
-        self, board: Board, exported: Path, bench: Bench, outputs: int, pass_on: Callable[[bytes], object]
+        self, board: Board, exported: Path, bench: Bench, pass_on: Callable[[bytes], object]
     ) -> None:
         self._bench, self._pass_on = bench, pass_on
         self._scratch = tempfile.TemporaryDirectory(prefix="motorlens-board-")
         folder = Path(self._scratch.name)
-        (folder / "drive.h").write_text(drive_header(bench, outputs), encoding="ascii")
+        (folder / "drive.h").write_text(drive_header(bench, _outputs_of(exported)), encoding="ascii")
         sources = [p for p in sorted(exported.glob("*.c")) if p.name not in ("main.c", "golden_test.c")]
         flags = tuple(f"-I{path}" for path in (folder, exported, FOLDER.parent / "include"))
         program = compile_for(board, [*sources, FOLDER / "drive.c"], folder / "drive.elf", flags)
@@ -68,12 +68,21 @@ class OnBoard:
     ) -> None:
         self.close()
 
-    def run(self, rate_Hz: float) -> int:
-        """Feed all codes of the bench, at `rate_Hz` of them a second at most; returns how many samples the board sends."""
+    def run(self, rate_Hz: float, give_up: Callable[[], bool] = lambda: False) -> int:
+        """Feed all codes of the bench, at `rate_Hz` of them a second at most; returns how many samples the board sends.
+
+        Raises:
+            DataError: the emulator has ended.
+        """
         codes = self._bench.codes[: len(self._bench.codes) // ROWS * ROWS]
         began = time.monotonic()
         for start in range(0, len(codes), ROWS):
-            self._in.sendall(codes[start : start + ROWS].astype("<i2").tobytes())
+            if give_up():
+                return start
+            try:
+                self._in.sendall(codes[start : start + ROWS].astype("<i2").tobytes())
+            except OSError as error:
+                raise DataError(f"the emulated board is gone: {error.strerror}") from None
             time.sleep(max(began + start / rate_Hz - time.monotonic(), 0.0))
         return len(codes)
 
@@ -105,6 +114,15 @@ class OnBoard:
                 self._pass_on(data)
         except OSError:
             return  # closed
+
+
+def _outputs_of(exported: Path) -> int:
+    """How many estimates an exported sensor gives."""
+    config = (exported / "motorlens_config.h").read_text(encoding="utf-8")
+    found = re.search(r"#define MOTORLENS_OUTPUTS (\d+)", config)
+    if found is None:
+        raise DataError(f"{exported}: not the folder of an exported sensor")
+    return int(found.group(1))
 
 
 def drive_header(bench: Bench, outputs: int) -> str:

@@ -9,6 +9,7 @@ from motorlens_firmware_sim.adc import Adc
 from motorlens_firmware_sim.faults import burst, drop_bytes, flip_bits, insert_bytes, repeat_bytes, swap_bytes
 from motorlens_firmware_sim.port import PtyPort
 from motorlens_firmware_sim.telemetry import Drive, sendings
+from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DeviceError
 from motorlens_runtime.line.framing import Decoder, Flag, HelloAssembler, Kind
 
@@ -102,3 +103,10 @@ def test_faults_happen_at_their_rates() -> None:
     assert swap_bytes(b"abcd", 1.0, rng) == b"badc"
     broken = np.frombuffer(burst(data, 100, 5, rng), np.uint8) != np.frombuffer(data, np.uint8)
     assert 400 < broken.sum() <= 500
+
+
+def test_an_unknown_core_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["drive", "--board", "z80", "--duration", "0.1"]) == 1
+    said = capsys.readouterr()
+    assert not said.out and said.err.count("\n") == 1
+    assert "--board z80: choose cortex-m0, cortex-m3, cortex-m4f, cortex-m7f" in said.err

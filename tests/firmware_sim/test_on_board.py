@@ -57,7 +57,7 @@ def test_what_the_board_estimates_is_what_the_runtime_estimates_and_run_hears_ev
                 sent.extend(data)
                 port.write(data, patience_s=20.0)
 
-            with OnBoard(boards.BOARDS[2], tmp_path / "c", bench, 3, pass_on) as board:
+            with OnBoard(boards.BOARDS[2], tmp_path / "c", bench, pass_on) as board:
                 fed = board.run(rate_Hz=2000)
                 eventually(lambda: len(frames_of(bytes(sent))) == fed, "all frames", run)
                 eventually(lambda: live_csv.exists() and len(rows_of(live_csv)) == fed, "all rows", run)

@@ -3,23 +3,33 @@
 example:
   motorlens drive --motor mellah2016 --scenario duty --rate 1000 --duration 60
   motorlens run --source serial:///dev/pts/3 --sensor mellah2016     (in another terminal)
+  motorlens drive --board cortex-m4f --sensor mellah2016             (the sensor on board of an emulated microcontroller)
 
 A motor runs through a scenario; a 12-bit converter digitises its voltage and current; frames
 (docs/wire-protocol.md) go over a pseudo-terminal as over a serial line. It starts when somebody opens the port.
---truth writes what no sensor sees.
+--truth writes what no sensor sees. With --board the drive's firmware runs on that core under QEMU with the sensor
+compiled into it: what comes over the port are its frames, with estimates among the measurements.
 """
 
 import argparse
 import signal
 import sys
+import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from motorlens_runtime.cli import add_json_argument, write_json
 from motorlens_runtime.errors import DataError
 
+if TYPE_CHECKING:
+    from motorlens_firmware_sim.bench import Bench
+    from motorlens_firmware_sim.port import PtyPort
+
 LINGER_S = 1.0
+_PATIENCE_S = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,6 +62,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth", metavar="REC.csv", help="write the true quantities, row by row with the samples"
     )
+    parser.add_argument(
+        "--board",
+        metavar="CORE",
+        help="run on an emulated core: cortex-m0, cortex-m3, cortex-m4f or cortex-m7f",
+    )
+    parser.add_argument(
+        "--sensor",
+        default="mellah2016",
+        metavar="S.onnx",
+        help="with --board: the sensor (default: mellah2016)",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of everything random (default: 0)")
     add_json_argument(parser)
 
@@ -59,7 +80,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from motorlens_firmware_sim.bench import Setup, prepare
     from motorlens_firmware_sim.port import PtyPort
-    from motorlens_firmware_sim.telemetry import sendings
     from motorlens_physics.recording import write_recording
 
     if arguments.speedup <= 0:
@@ -72,22 +92,16 @@ def run(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
     if arguments.truth:
         write_recording(bench.truth, Path(arguments.truth))
-    stop = _Stop()
-    sent = dropped = 0
-    with PtyPort(arguments.link) as port:
+    with ExitStack() as opened:
+        send = _send
+        if arguments.board:
+            scratch = opened.enter_context(tempfile.TemporaryDirectory(prefix="motorlens-drive-"))
+            send = _Board(arguments.board, arguments.sensor, Path(scratch)).send
+        stop = _Stop()
+        port = opened.enter_context(PtyPort(arguments.link))
         print(port.name, flush=True)
         port.wait_for_reader(lambda: stop.asked)
-        port.write(b"\0", patience_s=1.0)
-        began = time.monotonic()
-        for sending in sendings(bench.drive, bench.codes):
-            stop.sleep(began + sending.at_s / arguments.speedup - time.monotonic())
-            if stop.asked:
-                break
-            # A drive does not wait for its listener for long; what the line does not take is lost, and counted.
-            taken = port.write(sending.data, patience_s=2.0)
-            sent, dropped = sent + sending.samples, dropped + sending.samples * (taken < len(sending.data))
-            if not port.has_reader():
-                break
+        sent, dropped = send(bench, port, stop, arguments.speedup)
         # Closing the port throws away what the listener has not read yet.
         stop.sleep(LINGER_S if port.has_reader() else 0.0)
     print(f"motorlens drive: {sent - dropped} samples sent, {dropped} lost on the line", file=sys.stderr)
@@ -96,6 +110,63 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.json,
     )
     return 0
+
+
+def _send(bench: "Bench", port: "PtyPort", stop: "_Stop", speedup: float) -> tuple[int, int]:
+    """Send the frames when they are due; how many samples were sent, and how many of them the line did not take."""
+    from motorlens_firmware_sim.telemetry import sendings
+
+    sent = dropped = 0
+    port.write(b"\0", patience_s=1.0)
+    began = time.monotonic()
+    for sending in sendings(bench.drive, bench.codes):
+        stop.sleep(began + sending.at_s / speedup - time.monotonic())
+        if stop.asked:
+            break
+        # A drive does not wait for its listener for long; what the line does not take is lost, and counted.
+        taken = port.write(sending.data, patience_s=_PATIENCE_S)
+        sent, dropped = sent + sending.samples, dropped + sending.samples * (taken < len(sending.data))
+        if not port.has_reader():
+            break
+    return sent, dropped
+
+
+class _Board:
+    """The firmware and the exported sensor for an emulated core, compiled in a folder that goes with it.
+
+    Raises:
+        DataError: an unknown core, or compiler or emulator are not here.
+        ModelError: the sensor.
+    """
+
+    def __init__(self, core: str, sensor: str, scratch: Path) -> None:
+        from motorlens_firmware_sim import boards
+        from motorlens_runtime.files.shipped import sensor_path
+        from motorlens_runtime.sensor.export import export_c
+
+        known = {board.name: board for board in boards.BOARDS}
+        if core not in known:
+            raise DataError(f"--board {core}: choose {', '.join(known)}")
+        if missing := boards.missing_tools():
+            raise DataError(f"--board {core}: {missing}")
+        self._board, self._exported = known[core], scratch / "c"
+        export_c(sensor_path(sensor), self._exported, True, "motor")
+
+    def send(self, bench: "Bench", port: "PtyPort", stop: "_Stop", speedup: float) -> tuple[int, int]:
+        """Feed the board; how many samples it measured, and about how many of them the line did not take."""
+        from motorlens_firmware_sim.on_board import OnBoard
+
+        made = taken = 0
+
+        def pass_on(data: bytes) -> None:
+            nonlocal made, taken
+            made += len(data)
+            taken += port.write(data, patience_s=_PATIENCE_S)
+
+        with OnBoard(self._board, self._exported, bench, pass_on) as board:
+            fed = board.run(bench.drive.rate_Hz * speedup, lambda: stop.asked or not port.has_reader())
+            stop.sleep(LINGER_S)  # what the board still computes
+        return fed, -(-(made - taken) * fed // max(made, 1))
 
 
 class _Stop:
