@@ -264,11 +264,9 @@ def joined(parts: list[Estimates]) -> Estimates:
     )
 
 
-def injected(total: int) -> list[tuple[str, bool]]:
-    """All kinds of damage to `total` frames; everything accepted is compared with what was sent."""
-    rng = np.random.default_rng(1)
-    chunk = min(total // 10, 50_000)
-    kinds = {
+def damages(rng: np.random.Generator, chunk: int) -> dict[str, Callable[[bytes], bytes]]:
+    """What is done to the bytes of `chunk` frames, by name."""
+    return {
         "bit errors 1e-5": lambda d: faults.flip_bits(d, 1e-5, rng),
         "bit errors 1e-4": lambda d: faults.flip_bits(d, 1e-4, rng),
         "bit errors 1e-3": lambda d: faults.flip_bits(d, 1e-3, rng),
@@ -280,6 +278,13 @@ def injected(total: int) -> list[tuple[str, bool]]:
         "line stuck": lambda d: stuck(d, rng),
         "frames cut, doubled, exchanged": lambda d: shuffled(d, rng),
     }
+
+
+def injected(total: int) -> list[tuple[str, bool]]:
+    """All kinds of damage to `total` frames; everything accepted is compared with what was sent."""
+    rng = np.random.default_rng(1)
+    chunk = min(total // 10, 50_000)
+    kinds = damages(rng, chunk)
     gates, accepted_all, bad_all, started = [], 0, 0, time.process_time()
     longest = 0
     for name, damage in kinds.items():
