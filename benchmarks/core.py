@@ -202,12 +202,17 @@ int main(void)
 {
     static motorlens_state state;
     double row[3], out[2][MOTORLENS_OUTPUTS];
+    motorlens_real found[2][MOTORLENS_OUTPUTS];
     motorlens_start(&motor_sensor, &state, 10000000);
     for (long k = 0; fread(row, sizeof row, 1, stdin) == 1; k++) {
-        motorlens_sample sample = {(int64_t)row[0], row[1], row[2], (double)NAN, 0};
+        motorlens_sample sample = {(int64_t)row[0], (motorlens_real)row[1], (motorlens_real)row[2], (motorlens_real)NAN, 0};
         const uint32_t word = motorlens_update(&motor_sensor, &state, &sample);
         if (k % 10 == 0) {
-            motorlens_evaluate(&motor_sensor, &state, &sample, word, out[0], out[1]);
+            motorlens_evaluate(&motor_sensor, &state, &sample, word, found[0], found[1]);
+            for (int k = 0; k < MOTORLENS_OUTPUTS; k++) {
+                out[0][k] = (double)found[0][k];
+                out[1][k] = (double)found[1][k];
+            }
             fwrite(out, sizeof out, 1, stdout);
         }
     }

@@ -50,20 +50,26 @@ static size_t framed(const uint8_t *data, size_t size, uint8_t *wire)
 /* Gate, filters, observer and network on the first `most` samples. */
 static void estimate(const motorlens_samples *samples, int64_t most)
 {
-    double estimate[MOTORLENS_OUTPUTS], sigma[MOTORLENS_OUTPUTS];
+    motorlens_real estimate[MOTORLENS_OUTPUTS], sigma[MOTORLENS_OUTPUTS];
     motorlens_state state;
     motorlens_start(&motor_sensor, &state, 1000000);
     for (int64_t k = 0; k < samples->count && k < most; k++) {
-        motorlens_sample sample = {samples->time_ns[k], samples->voltage_V[k], samples->current_A[k],
-                                   samples->ambient_C[k], samples->flags[k]};
+        motorlens_sample sample = {samples->time_ns[k], (motorlens_real)samples->voltage_V[k], (motorlens_real)samples->current_A[k],
+                                   (motorlens_real)samples->ambient_C[k], samples->flags[k]};
         const uint32_t word = motorlens_update(&motor_sensor, &state, &sample);
         if (word == MOTORLENS_BACKWARDS)
             continue;
         if (k % 16 == 0)
             motorlens_evaluate(&motor_sensor, &state, &sample, word, estimate, sigma);
-        for (int f = 0; f < motor_sensor.features.filters; f++)
+        for (int f = 0; f < motor_sensor.features.filters; f++) {
+#if MOTORLENS_SINGLE
+            if (state.bank.value[f] > INT64_C(1) << 61 || state.bank.value[f] < -(INT64_C(1) << 61))
+                abort(); /* nothing beyond its unit reaches a filter */
+#else
             if (!(state.bank.inside[f] - state.bank.inside[f] == 0.0))
                 abort(); /* nothing that is not finite reaches a filter */
+#endif
+        }
     }
 }
 

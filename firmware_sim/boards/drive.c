@@ -61,9 +61,9 @@ int main(void)
             out[0] = (float)(next_code() * DRIVE_VOLTAGE_STEP);
             out[1] = (float)(next_code() * DRIVE_CURRENT_STEP);
             sample.time_ns = (int64_t)count * DRIVE_PERIOD_US * 1000;
-            sample.voltage_V = (double)out[0];
-            sample.current_A = (double)out[1];
-            sample.ambient_C = 20.0;
+            sample.voltage_V = out[0];
+            sample.current_A = out[1];
+            sample.ambient_C = 20;
             sample.flags = 0;
             quality = motorlens_update(&motor_sensor, &state, &sample);
             if (row == 0)

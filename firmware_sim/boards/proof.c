@@ -1,9 +1,10 @@
 /* proof.c - the exported sensor on a board, and on the PC to compare with: the same samples, the same bits, and what they cost.
  *
  * Prints a line for each 50th sample with the quality word and the bits of estimates and deviations, then one with a hash over
- * all of them and the states of the filters and the observer; on a board also the instructions of a sample and of an evaluation,
+ * all of them and the whole state; on a board also the instructions of a sample and of an evaluation,
  * and the memory that was used. Samples come from a counter in integers, so that they are the same everywhere.
  */
+#include <math.h>
 #include <string.h>
 
 #include "sensor.h"
@@ -40,13 +41,12 @@ static motorlens_sample sample_of(int32_t k, uint32_t *seed, int32_t *speed)
     const int32_t voltage = level + noise, current = (voltage - *speed) / 8 + (int32_t)(random_bits(seed) % 11u) - 5;
     *speed += current / 8;
     sample.time_ns = (int64_t)k * 1000000 + (k >= 900 ? 250000000 : 0);
-    sample.voltage_V = voltage * 0.0625;
-    sample.current_A = current * 0.03125;
-    sample.ambient_C = 20.0;
+    sample.voltage_V = (motorlens_real)voltage / 16;
+    sample.current_A = (motorlens_real)current / 32;
+    sample.ambient_C = 20;
     sample.flags = 0;
     if (k == 700) {
-        const uint64_t not_a_number = UINT64_C(0x7FF8000000000000);
-        memcpy(&sample.current_A, &not_a_number, sizeof not_a_number);
+        sample.current_A = (motorlens_real)NAN;
     }
     return sample;
 }
@@ -58,11 +58,11 @@ static void mix(uint32_t *hash, const void *data, size_t size)
         *hash = (*hash ^ *bytes++) * 16777619u;
 }
 
-static void print_bits(const double *values, int count)
+static void print_bits(const motorlens_real *values, int count)
 {
     for (int k = 0; k < count; k++) {
-        uint64_t bits;
-        memcpy(&bits, values + k, sizeof bits);
+        uint64_t bits = 0;
+        memcpy(&bits, values + k, sizeof *values);
         board_print(" ");
         board_print_hex(bits, 16);
     }
@@ -70,7 +70,7 @@ static void print_bits(const double *values, int count)
 
 int main(void)
 {
-    double estimate[MOTORLENS_OUTPUTS], sigma[MOTORLENS_OUTPUTS], filters[MOTORLENS_FILTERS];
+    motorlens_real estimate[MOTORLENS_OUTPUTS], sigma[MOTORLENS_OUTPUTS];
     const int outputs = motor_sensor.network.outputs;
     uint32_t hash = 2166136261u, seed = 1;
     int32_t speed = 0;
@@ -114,9 +114,7 @@ int main(void)
             }
         }
     }
-    motorlens_bank_values(&motor_sensor.features, &state.bank, filters);
-    mix(&hash, filters, motor_sensor.features.filters * sizeof *filters);
-    mix(&hash, state.observer, motor_sensor.observer.size * sizeof *state.observer);
+    mix(&hash, &state, sizeof state);
     board_print("hash ");
     board_print_hex(hash, 8);
     board_print("\n");

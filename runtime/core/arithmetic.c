@@ -17,6 +17,8 @@ double motorlens_exp(double x)
 double motorlens_log(double x)
 {
     /* x = 2^k m with m within a factor of sqrt(2) of one; log m = 2 artanh s, s = (m - 1) / (m + 1), |s| < 0.172. */
+    static const double series[] = {1.0 / 19.0, 1.0 / 17.0, 1.0 / 15.0, 1.0 / 13.0, 1.0 / 11.0,
+                                    1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0};
     uint64_t bits;
     int32_t k = 0;
     double m, s, square, p;
@@ -39,14 +41,7 @@ double motorlens_log(double x)
     s = (m - 1.0) / (m + 1.0);
     square = s * s;
     p = 1.0 / 21.0;
-    p = p * square + 1.0 / 19.0;
-    p = p * square + 1.0 / 17.0;
-    p = p * square + 1.0 / 15.0;
-    p = p * square + 1.0 / 13.0;
-    p = p * square + 1.0 / 11.0;
-    p = p * square + 1.0 / 9.0;
-    p = p * square + 1.0 / 7.0;
-    p = p * square + 1.0 / 5.0;
-    p = p * square + 1.0 / 3.0;
+    for (unsigned term = 0; term < sizeof series / sizeof *series; term++)
+        p = p * square + series[term];
     return (double)k * 6.93147180369123816490e-01 + (2.0 * s + (2.0 * s * square * p + (double)k * 1.90821492927058770002e-10));
 }

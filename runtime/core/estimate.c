@@ -2,52 +2,100 @@
 #include <math.h>
 #include <string.h>
 
-#include "motorlens.h"
+#include "arithmetic.h"
 
 void motorlens_start(const motorlens_sensor *sensor, motorlens_state *state, int64_t period_ns)
 {
     memset(state, 0, sizeof *state);
     state->gate.bridged_until_ns = INT64_MIN;
     state->gate.first_move = MOTORLENS_NEVER;
-    state->gate.ambient_C = sensor->gate.needs_ambient ? 0.0 : (double)NAN;
+    state->gate.ambient_C = sensor->gate.needs_ambient ? 0 : (motorlens_real)NAN;
+#if !MOTORLENS_SINGLE
     state->bank.dt_s = -1.0; /* no step has been taken: no decay is known */
     for (int k = 0; k < sensor->features.filters; k++)
         state->bank.reach[k] = 1.0;
+#endif
     state->period_ns = period_ns;
 }
 
 uint32_t motorlens_update(const motorlens_sensor *sensor, motorlens_state *state, motorlens_sample *sample)
 {
-    double signals[MOTORLENS_SIGNALS], dt_s;
+    motorlens_signal signals[MOTORLENS_SIGNALS];
     int64_t dt_ns;
     int used;
     const uint32_t quality =
         motorlens_gate_inspect(&sensor->gate, &state->gate, state->period_ns, sample, &dt_ns, &used);
     if (quality == MOTORLENS_BACKWARDS)
         return quality;
-    dt_s = (double)dt_ns * 1e-9;
     motorlens_signals(&sensor->features, sample, signals);
-    motorlens_bank_advance(&sensor->features, &state->bank, dt_s, signals);
+    motorlens_bank_advance(&sensor->features, &state->bank, dt_ns, signals);
     state->failed = 0;
+#if MOTORLENS_OPERATIONS
     if (sensor->observer.size > 0 && used)
-        state->failed = motorlens_observer_advance(&sensor->observer, state->observer, sample, dt_s);
+        state->failed = motorlens_observer_advance(&sensor->observer, state->observer, sample, (double)dt_ns * 1e-9);
+#endif
     return quality;
 }
+
+/* The outputs of the observer after the sample that was taken last; NaN where it has failed. */
+static void observe(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample, double *observed)
+{
+#if MOTORLENS_OPERATIONS
+    const motorlens_observer *observer = &sensor->observer;
+    if (observer->size > 0 &&
+        (state->failed || motorlens_observer_read(observer, state->observer, (double)sample->ambient_C, observed)))
+        for (int k = 0; k < observer->outputs; k++)
+            observed[k] = (double)NAN;
+#else
+    (void)sensor, (void)state, (void)sample, (void)observed;
+#endif
+}
+
+#if MOTORLENS_SINGLE
+
+uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample,
+                            uint32_t quality, motorlens_real *estimate, motorlens_real *sigma)
+{
+    const motorlens_features *map = &sensor->features;
+    const motorlens_envelope *envelope = &sensor->envelope;
+    const int first = map->filters + map->signals;
+    motorlens_signal signals[MOTORLENS_SIGNALS];
+    double observed[MOTORLENS_OBSERVER] = {0};
+    int failed = 0;
+    motorlens_lanes columns[MOTORLENS_COLUMNS];
+    motorlens_real squares;
+    observe(sensor, state, sample, observed);
+    for (int k = 0; k < sensor->observer.outputs; k++)
+        failed |= !isfinite(observed[k]);
+    if (failed) {
+        for (int k = 0; k < sensor->network.outputs; k++)
+            estimate[k] = sigma[k] = (motorlens_real)NAN;
+        return quality | MOTORLENS_QUALITY_NOT_FINITE;
+    }
+    motorlens_signals(map, sample, signals);
+    motorlens_whitened(sensor, state, signals, observed, columns, &squares);
+    motorlens_network_evaluate(&sensor->network, map->features, columns, (motorlens_lanes *)estimate,
+                               (motorlens_lanes *)sigma);
+    if (squares > envelope->limit)
+        quality |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
+    if (MOTORLENS_OPERATIONS && envelope->distrust >= 0 && observed[map->plus[envelope->distrust] - first] > 0.0)
+        quality |= MOTORLENS_QUALITY_UNFORETOLD;
+    for (int k = 0; k < sensor->network.outputs; k++)
+        if (!(isfinite(estimate[k]) && isfinite(sigma[k])))
+            quality |= MOTORLENS_QUALITY_NOT_FINITE;
+    return quality;
+}
+
+#else
 
 /* The features after the sample that was taken last. */
 static void look(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample, double *features)
 {
     const motorlens_features *map = &sensor->features;
-    const motorlens_observer *observer = &sensor->observer;
     double known[MOTORLENS_FILTERS + MOTORLENS_SIGNALS + MOTORLENS_OBSERVER];
-    double *observed = known + map->filters + map->signals;
     motorlens_bank_values(map, &state->bank, known);
     motorlens_signals(map, sample, known + map->filters);
-    if (observer->size > 0) {
-        if (state->failed || motorlens_observer_read(observer, state->observer, sample->ambient_C, observed))
-            for (int k = 0; k < observer->outputs; k++)
-                observed[k] = (double)NAN;
-    }
+    observe(sensor, state, sample, known + map->filters + map->signals);
     motorlens_features_of(map, known, features);
 }
 
@@ -71,7 +119,7 @@ void motorlens_batch_finish(const motorlens_sensor *sensor, motorlens_batch *bat
 {
     const int outputs = sensor->network.outputs;
     motorlens_lanes columns[MOTORLENS_COLUMNS];
-    motorlens_wide values[MOTORLENS_OUTPUTS], deviations[MOTORLENS_OUTPUTS], squares;
+    motorlens_lanes values[MOTORLENS_OUTPUTS], deviations[MOTORLENS_OUTPUTS], squares;
     motorlens_whitened(&sensor->envelope, sensor->features.features, batch->features, columns, squares);
     motorlens_network_evaluate(&sensor->network, sensor->features.features, columns, values, deviations);
     for (int row = 0; row < batch->rows; row++) {
@@ -136,3 +184,5 @@ int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, i
     *state = next;
     return 0;
 }
+
+#endif

@@ -1,18 +1,106 @@
 /* Signals of a sample, and features of signals, filters and observer. As `features.FeatureMap`. */
 #include <string.h>
 
-#include "motorlens.h"
+#include "arithmetic.h"
 
-void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, double *signals)
+static motorlens_real product_of(const motorlens_features *map, const motorlens_sample *sample, int signal)
 {
-    double measured[5];
-    measured[0] = 1.0;
+    motorlens_real measured[5];
+    measured[0] = 1;
     measured[1] = sample->voltage_V;
     measured[2] = sample->current_A;
     measured[3] = sample->voltage_V - map->resistance_ohm * sample->current_A;
     measured[4] = sample->ambient_C;
+    return measured[map->first[signal]] * measured[map->second[signal]];
+}
+
+#if MOTORLENS_SINGLE
+
+#define LARGEST_HIGH 268435456.0f /* 2^28: sums and differences of three stay below 2^63 */
+
+void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, motorlens_signal *signals)
+{
+    for (int k = 0; k < map->signals; k++) {
+        const float x = product_of(map, sample, k) * map->units[k];
+        const float bounded = x > LARGEST_HIGH ? LARGEST_HIGH : x < -LARGEST_HIGH ? -LARGEST_HIGH : x;
+        const int32_t high = (int32_t)bounded;
+        /* Both parts are exact: a float has 24 bits. */
+        signals[k] = (int64_t)high * INT64_C(4294967296) + 2 * (int64_t)(int32_t)((bounded - (float)high) * 2147483648.0f);
+    }
+}
+
+static int64_t value_of(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals, int column)
+{
+    const int filters = sensor->features.filters;
+    return column < filters ? state->bank.value[column] : signals[column - filters];
+}
+
+/* The distance of a feature from its mean in 32 bits, or, without whitening, in single precision. */
+static int32_t look_at(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
+                       const double *observed, int feature, float *plain)
+{
+    const motorlens_features *map = &sensor->features;
+    const motorlens_envelope *envelope = &sensor->envelope;
+    const int plus = map->plus[feature], minus = map->minus[feature], shift = envelope->shift[feature];
+    int64_t distance;
+    int32_t high, most;
+#if MOTORLENS_OPERATIONS
+    const int first = map->filters + map->signals;
+    if (plus >= first) {
+        const double far = observed[plus - first] - envelope->observed_mean[plus - first];
+        const double scaled = far * envelope->observed_scale[plus - first];
+        *plain = (float)far;
+        return scaled > 2147483647.0 ? INT32_MAX : scaled < -2147483647.0 ? -INT32_MAX : (int32_t)scaled;
+    }
+#else
+    (void)observed;
+#endif
+    distance = value_of(sensor, state, signals, plus) - envelope->mean[feature];
+    if (minus != UINT16_MAX)
+        distance -= value_of(sensor, state, signals, minus);
+    if (envelope->whitening == NULL)
+        *plain = real_of(distance) * envelope->unit[feature];
+    /* From 1 to 31 places; the mean has half a place in it, so that this rounds. */
+    high = (int32_t)(distance >> 32);
+    most = INT32_C(1) << (shift - 1);
+    if (high >= most)
+        return INT32_MAX;
+    if (high < -most)
+        return -INT32_MAX;
+    return (int32_t)((uint32_t)high << (32 - shift) | (uint32_t)distance >> shift);
+}
+
+/* In whole numbers, so that small differences of large products lose nothing, and in few instructions. */
+void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
+                        const double *observed, motorlens_lanes *columns, motorlens_real *squares)
+{
+    const int count = sensor->features.features;
+    const int32_t *weight = sensor->envelope.whitening;
+    int32_t apart[MOTORLENS_FEATURES];
+    for (int k = 0; k < count; k++)
+        apart[k] = look_at(sensor, state, signals, observed, k, columns[k]);
+    *squares = 0.0f;
+    if (weight == NULL)
+        return;
+    for (int k = 0; k < count; k++) {
+        const int32_t *x = apart + k, *const end = apart + count;
+        int64_t sum = 0;
+        float z;
+        do {
+            sum += (int64_t)*weight++ * *x++;
+        } while (x < end);
+        z = real_of(sum) * sensor->envelope.unit[k];
+        columns[k][0] = z;
+        *squares += z * z;
+    }
+}
+
+#else
+
+void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, motorlens_signal *signals)
+{
     for (int k = 0; k < map->signals; k++)
-        signals[k] = measured[map->first[k]] * measured[map->second[k]];
+        signals[k] = product_of(map, sample, k);
 }
 
 void motorlens_features_of(const motorlens_features *map, const double *columns, double *features)
@@ -24,7 +112,7 @@ void motorlens_features_of(const motorlens_features *map, const double *columns,
     }
 }
 
-void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_wide *features, motorlens_lanes *columns,
+void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_lanes *features, motorlens_lanes *columns,
                         double *squares)
 {
     const motorlens_real *column = envelope->whitening;
@@ -34,18 +122,20 @@ void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens
         for (int lane = 0; lane < MOTORLENS_LANES; lane++)
             features[j][lane] -= envelope->mean[j];
     for (int k = 0; k < count; k++) {
-        motorlens_wide sum = {0}; /* in double: these are small differences of large numbers */
+        motorlens_lanes sum = {0};
         if (column == NULL) {
             memcpy(sum, features[k], sizeof sum);
         } else {
             for (int j = k; j < count; j++)
                 for (int lane = 0; lane < MOTORLENS_LANES; lane++)
-                    sum[lane] += (double)column[j - k] * features[j][lane];
+                    sum[lane] += column[j - k] * features[j][lane];
             column += count - k;
         }
         for (int lane = 0; lane < MOTORLENS_LANES; lane++) {
-            columns[k][lane] = (motorlens_real)(envelope->reads_z ? sum[lane] : features[k][lane]);
+            columns[k][lane] = features[k][lane];
             squares[lane] += sum[lane] * sum[lane];
         }
     }
 }
+
+#endif

@@ -1,19 +1,17 @@
 /* What of a sample is believed: nothing that is not finite or physically absurd reaches the state. As `gate.Gate`. */
-#include <math.h>
+#include "arithmetic.h"
 
-#include "motorlens.h"
-
-static void judge_stuck(const motorlens_gate *gate, motorlens_gate_state *state, double voltage_V, double current_A,
-                        uint32_t *quality)
+static void judge_stuck(const motorlens_gate *gate, motorlens_gate_state *state, motorlens_real voltage_V,
+                        motorlens_real current_A, uint32_t *quality)
 {
     const int64_t now = state->count;
     if (current_A != state->current_A) {
         state->current_since = now;
         state->first_move = MOTORLENS_NEVER;
-    } else if (state->first_move == MOTORLENS_NEVER && fabs(voltage_V - state->voltage_V) > gate->move_V) {
+    } else if (state->first_move == MOTORLENS_NEVER && real_abs(voltage_V - state->voltage_V) > gate->move_V) {
         state->first_move = now;
     }
-    if (voltage_V != 0.0 || fabs(current_A) < gate->flowing_A)
+    if (voltage_V != 0 || real_abs(current_A) < gate->flowing_A)
         state->dead_since = now;
     if (now - state->first_move >= gate->repeats || now - state->dead_since >= gate->repeats)
         *quality |= MOTORLENS_QUALITY_STUCK;
@@ -26,20 +24,20 @@ uint32_t motorlens_gate_inspect(const motorlens_gate *gate, motorlens_gate_state
     uint32_t quality = sample->flags;
     const int finite = isfinite(sample->voltage_V) && isfinite(sample->current_A) &&
                        (!gate->needs_ambient || isfinite(sample->ambient_C));
-    *used = finite && fabs(sample->voltage_V) <= gate->absurd_V && fabs(sample->current_A) <= gate->absurd_A;
+    *used = finite && real_abs(sample->voltage_V) <= gate->absurd_V && real_abs(sample->current_A) <= gate->absurd_A;
     *dt_ns = 0;
     if (*used) {
         if (state->begun && time_ns < state->last_ns)
             return MOTORLENS_BACKWARDS;
         *dt_ns = state->begun ? time_ns - state->last_ns : gate->first_dt_ns;
-        if ((double)*dt_ns > gate->slowest_ns || (double)*dt_ns < gate->fastest_ns)
+        if (*dt_ns > gate->slowest_ns || *dt_ns < gate->fastest_ns)
             quality |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
         if (!(sample->voltage_V >= gate->least_V && sample->voltage_V <= gate->most_V &&
               sample->current_A >= gate->least_A && sample->current_A <= gate->most_A))
             quality |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
         /* L di/dt cannot exceed the supply and an equal back-EMF; half as much again and 2 % of the range for noise. */
         if (state->begun && *dt_ns > 0 &&
-            fabs(sample->current_A - state->current_A) > gate->slew_A_ns * (double)*dt_ns + gate->noise_A)
+            real_abs(sample->current_A - state->current_A) > gate->slew_A_ns * real_of(*dt_ns) + gate->noise_A)
             quality |= MOTORLENS_QUALITY_JUMP;
         if (state->begun && *dt_ns > 3 * period_ns / 2) {
             const int64_t doubted_ns = *dt_ns < gate->warm_up_ns ? *dt_ns : gate->warm_up_ns;

@@ -40,19 +40,25 @@ enum {
 /* One instant. `ambient_C` is NaN where it is not measured; `flags` are reasons that the source knows already. */
 typedef struct {
     int64_t time_ns;
-    double voltage_V, current_A, ambient_C;
+    motorlens_real voltage_V, current_A, ambient_C;
     uint32_t flags;
 } motorlens_sample;
+
+/* What the filters remember a signal as: with `MOTORLENS_SINGLE` a whole number in a unit of its own, see bank.c. */
+#if MOTORLENS_SINGLE
+typedef int64_t motorlens_signal;
+#else
+typedef double motorlens_signal;
+#endif
 
 /* ---- the sensor: constant tables --------------------------------------------------------------------------------- */
 
 /* What of a sample is believed; derived from the envelope by `gate.Gate`. */
 typedef struct {
-    int64_t warm_up_ns, cold_ns, first_dt_ns;
-    double slowest_ns, fastest_ns;
-    double least_V, most_V, least_A, most_A;
-    double absurd_V, absurd_A, move_V, flowing_A, noise_A;
-    double slew_A_ns; /* a current cannot change faster; infinite where the inductance is not known */
+    int64_t warm_up_ns, cold_ns, first_dt_ns, slowest_ns, fastest_ns;
+    motorlens_real least_V, most_V, least_A, most_A;
+    motorlens_real absurd_V, absurd_A, move_V, flowing_A, noise_A;
+    motorlens_real slew_A_ns; /* a current cannot change faster; infinite where the inductance is not known */
     int32_t repeats, needs_ambient;
 } motorlens_gate;
 
@@ -61,21 +67,37 @@ typedef struct {
     uint16_t signals, filters, features;
     const uint8_t *first, *second;   /* (signals) factors of each */
     const uint8_t *filter_signal;    /* (filters) which signal each filters */
+#if MOTORLENS_SINGLE
+    const float *per_ns;             /* (filters) 1 / tau */
+    const float *units;              /* (signals) so many make 2^32 of what the filters count in */
+#else
     const double *tau_s;             /* (filters) */
+#endif
     const uint16_t *plus, *minus;    /* (features) columns: filters, signals, observer; minus 0xFFFF is none */
-    double resistance_ohm;
+    motorlens_real resistance_ohm;
 } motorlens_features;
 
 /* Where the sensor was trained: the features' distance from their mean, of which z = L' (features - mean) has the length. The
  * network reads z in single precision, which features of such different size would not survive, and features - mean in double,
  * where a change of basis would cost more than it gains. */
+#if MOTORLENS_SINGLE
+typedef struct {
+    const int64_t *mean;             /* (features), in the unit of the feature's signal */
+    const uint8_t *shift;            /* (features) to the 32 bits in which its distance from the mean is kept */
+    const double *observed_mean, *observed_scale; /* the same for each output of the observer */
+    const int32_t *whitening;        /* as below, in whole numbers */
+    const float *unit;               /* (features) of z; without whitening, of the distance from the mean */
+    float limit;
+    int32_t distrust;
+} motorlens_envelope;
+#else
 typedef struct {
     const double *mean;              /* (features) */
     const motorlens_real *whitening; /* columns of the lower triangle L, one after another; NULL is the unit matrix */
     double limit;                    /* of the sum of squares of z; infinite is none */
-    int32_t reads_z;                 /* whether the network does */
     int32_t distrust;                /* the feature that is above 0 where the observer is not to be believed; -1 is none */
 } motorlens_envelope;
+#endif
 
 enum {
     MOTORLENS_TANH, MOTORLENS_EXP, MOTORLENS_SQRT, MOTORLENS_CLIP, MOTORLENS_MUL, MOTORLENS_SIGMOID, MOTORLENS_RELU,
@@ -101,7 +123,7 @@ typedef struct {
     const motorlens_step *steps;
     uint16_t count, outputs;
     motorlens_argument estimate, sigma;
-    const double *offset; /* (outputs) constants of the estimate, added last and in double */
+    const motorlens_real *offset; /* (outputs) constants of the estimate, added last */
 } motorlens_network;
 
 enum {
@@ -145,16 +167,25 @@ typedef struct {
 
 typedef struct {
     int64_t first_ns, last_ns, bridged_until_ns, count, current_since, first_move, dead_since;
-    double voltage_V, current_A, ambient_C;
+    motorlens_real voltage_V, current_A, ambient_C;
     int32_t begun, remembered; /* whether a sample was used yet; whether the heat of an earlier run was there at the start */
 } motorlens_gate_state;
 
 /* The filters after `count` samples; see bank.c. The decay belongs to the step `dt_s`. */
+#if MOTORLENS_SINGLE
+typedef struct {
+    int64_t value[MOTORLENS_FILTERS];
+    int64_t dt_ns;
+    int32_t gain[MOTORLENS_FILTERS]; /* of 2^31, after a shift */
+    uint8_t shift[MOTORLENS_FILTERS];
+} motorlens_bank_state;
+#else
 typedef struct {
     int64_t count;
     double before[MOTORLENS_FILTERS], inside[MOTORLENS_FILTERS], reach[MOTORLENS_FILTERS];
     double dt_s, decay[MOTORLENS_FILTERS], gain[MOTORLENS_FILTERS];
 } motorlens_bank_state;
+#endif
 
 typedef struct {
     motorlens_gate_state gate;
@@ -177,8 +208,12 @@ uint32_t motorlens_update(const motorlens_sensor *sensor, motorlens_state *state
 /* The estimates and one standard deviation of each (network.outputs) after the sample that `update` has taken; gives the
  * quality word. */
 uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample,
-                            uint32_t quality, double *estimate, double *sigma);
+                            uint32_t quality, motorlens_real *estimate, motorlens_real *sigma);
 
+/* A number of each of some rows that are evaluated side by side. */
+typedef motorlens_real motorlens_lanes[MOTORLENS_LANES];
+
+#if !MOTORLENS_SINGLE
 /* Many samples in one call: n of each array (`ambient_C` and `flags` may be NULL), evaluated at the m indices `rows` in rising
  * order (NULL: all); `features` (m, F) is where the features go, or NULL. Gives 0, or the index from 1 of a sample at which time
  * runs backwards, and leaves the state as it was. */
@@ -186,13 +221,10 @@ int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, i
                        const double *voltage_V, const double *current_A, const double *ambient_C, const uint32_t *flags,
                        int64_t m, const int64_t *rows, double *estimate, double *sigma, uint32_t *quality,
                        double *features);
-/* A number of each of some rows that are evaluated side by side. */
-typedef motorlens_real motorlens_lanes[MOTORLENS_LANES];
-typedef double motorlens_wide[MOTORLENS_LANES];
 
 /* Rows that wait to be evaluated together. */
 typedef struct {
-    motorlens_wide features[MOTORLENS_FEATURES];
+    motorlens_lanes features[MOTORLENS_FEATURES];
     uint32_t quality[MOTORLENS_LANES];
     int32_t rows;
 } motorlens_batch;
@@ -203,19 +235,26 @@ int motorlens_batch_add(const motorlens_sensor *sensor, motorlens_batch *batch, 
 /* Estimates and deviations (rows, outputs) and the quality words (rows); the batch is empty afterwards. */
 void motorlens_batch_finish(const motorlens_sensor *sensor, motorlens_batch *batch, double *estimate, double *sigma,
                             uint32_t *quality);
+#endif
 
 /* ---- its parts --------------------------------------------------------------------------------------------------- */
 
 uint32_t motorlens_gate_inspect(const motorlens_gate *gate, motorlens_gate_state *state, int64_t period_ns,
                                 motorlens_sample *sample, int64_t *dt_ns, int *used);
-void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state *state, double dt_s, const double *signals);
+void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state *state, int64_t dt_ns,
+                            const motorlens_signal *signals);
+void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, motorlens_signal *signals);
+#if MOTORLENS_SINGLE
+void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
+                        const double *observed, motorlens_lanes *columns, motorlens_real *squares);
+#else
 void motorlens_bank_values(const motorlens_features *map, const motorlens_bank_state *state, double *values);
-void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, double *signals);
 void motorlens_features_of(const motorlens_features *map, const double *columns, double *features);
-void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_wide *features, motorlens_lanes *columns,
+void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_lanes *features, motorlens_lanes *columns,
                         double *squares);
+#endif
 void motorlens_network_evaluate(const motorlens_network *network, int features, motorlens_lanes *columns,
-                                motorlens_wide *estimate, motorlens_wide *sigma);
+                                motorlens_lanes *estimate, motorlens_lanes *sigma);
 int motorlens_program_run(const motorlens_program *program, const double *inputs, double *results);
 int motorlens_observer_advance(const motorlens_observer *observer, double *state, const motorlens_sample *sample,
                                double dt_s);

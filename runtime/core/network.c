@@ -13,12 +13,11 @@ static const motorlens_lanes *value_of(const motorlens_argument *argument, int w
     columns += argument->start;
     if (weights == NULL)
         return columns;
-    memset(room, 0, (size_t)width * sizeof *room);
     for (int k = 0; k < width; k += MOTORLENS_SUMS) {
         const motorlens_real *of[MOTORLENS_SUMS];
         for (int m = 0; m < MOTORLENS_SUMS; m++)
             of[m] = weights + (k + m < width ? k + m : width - 1) * count;
-        add_products(of, columns, count, room + k, width - k);
+        sums_of(of, columns, count, room + k, width - k);
     }
     return (const motorlens_lanes *)room;
 }
@@ -41,6 +40,9 @@ static void all_tanh(const motorlens_real *x, int count, motorlens_real *out)
         out[k] = x[k] != x[k] ? x[k] : out[k];
 }
 
+/* A sensor that has no logarithm brings none: which functions there are is known when it is compiled. */
+#define HAS(function) ((MOTORLENS_FUNCTIONS >> (function)) & 1u)
+
 static motorlens_real of_one(uint8_t function, motorlens_real x)
 {
     switch (function) {
@@ -48,8 +50,11 @@ static motorlens_real of_one(uint8_t function, motorlens_real x)
     case MOTORLENS_SQRT: return real_sqrt(x);
     case MOTORLENS_SIGMOID: return 1 / (1 + real_exp(-x));
     case MOTORLENS_RELU: return x < 0 ? 0 : x;
-    case MOTORLENS_SOFTPLUS: return (x > 0 ? x : 0) + (motorlens_real)motorlens_log(1.0 + (double)real_exp(x > 0 ? -x : x));
-    case MOTORLENS_LOG: return (motorlens_real)motorlens_log((double)x);
+    case MOTORLENS_SOFTPLUS:
+        return HAS(MOTORLENS_SOFTPLUS)
+                   ? (x > 0 ? x : 0) + (motorlens_real)motorlens_log(1.0 + (double)real_exp(x > 0 ? -x : x))
+                   : 0;
+    case MOTORLENS_LOG: return HAS(MOTORLENS_LOG) ? (motorlens_real)motorlens_log((double)x) : 0;
     case MOTORLENS_ABS: return real_abs(x);
     default: return 1 / x; /* MOTORLENS_RECIPROCAL */
     }
@@ -66,7 +71,7 @@ static motorlens_real of_two(uint8_t function, motorlens_real x, motorlens_real 
 }
 
 void motorlens_network_evaluate(const motorlens_network *network, int features, motorlens_lanes *columns,
-                                motorlens_wide *estimate, motorlens_wide *sigma)
+                                motorlens_lanes *estimate, motorlens_lanes *sigma)
 {
     motorlens_lanes room[2][MOTORLENS_WIDTH];
     motorlens_lanes *next = columns + features;
@@ -102,9 +107,9 @@ void motorlens_network_evaluate(const motorlens_network *network, int features, 
     value = value_of(&network->estimate, network->outputs, (const motorlens_lanes *)columns, room[0]);
     for (int k = 0; k < network->outputs; k++)
         for (int lane = 0; lane < MOTORLENS_LANES; lane++)
-            estimate[k][lane] = (double)value[k][lane] + network->offset[k];
+            estimate[k][lane] = value[k][lane] + network->offset[k];
     value = value_of(&network->sigma, network->outputs, (const motorlens_lanes *)columns, room[0]);
     for (int k = 0; k < network->outputs; k++)
         for (int lane = 0; lane < MOTORLENS_LANES; lane++)
-            sigma[k][lane] = (double)value[k][lane];
+            sigma[k][lane] = value[k][lane];
 }

@@ -5,6 +5,8 @@
  */
 #include "arithmetic.h"
 
+#if MOTORLENS_OPERATIONS
+
 #ifdef MOTORLENS_LIBM
 #define observer_exp exp
 #define observer_log log
@@ -92,9 +94,9 @@ int motorlens_observer_advance(const motorlens_observer *observer, double *state
 {
     double inputs[MOTORLENS_OBSERVER + 4];
     int failed;
-    const double ambient_C = isfinite(sample->ambient_C) ? sample->ambient_C : observer->ambient_C;
-    inputs[0] = sample->voltage_V;
-    inputs[1] = sample->current_A;
+    const double ambient_C = isfinite(sample->ambient_C) ? (double)sample->ambient_C : observer->ambient_C;
+    inputs[0] = (double)sample->voltage_V;
+    inputs[1] = (double)sample->current_A;
     inputs[2] = ambient_C;
     inputs[3] = dt_s;
     memcpy(inputs + 4, state, observer->window * sizeof *state);
@@ -124,3 +126,5 @@ int motorlens_observer_read(const motorlens_observer *observer, double *state, d
         memset(state, 0, observer->size * sizeof *state);
     return failed;
 }
+
+#endif

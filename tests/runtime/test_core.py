@@ -10,6 +10,7 @@ from helpers.sensor_files import make_spec, write_sensor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_runtime.estimate.core_estimator import CoreEstimator, open_estimator
 from motorlens_runtime.estimate.decay import decay
@@ -228,16 +229,13 @@ def test_no_warning_of_a_strict_compiler(compiler, single, tmp_path):
 
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} here")
-    folder = core_library.source_folder()
-    for source in core_library.sources():
-        (tmp_path / source.name).write_bytes(source.read_bytes())
-    for header in folder.glob("*.h"):
-        (tmp_path / header.name).write_bytes(header.read_bytes())
     if single:
-        config = (tmp_path / "motorlens_config.h").read_text()
-        (tmp_path / "motorlens_config.h").write_text(
-            config.replace("typedef double motorlens_real", "typedef float motorlens_real")
-        )
+        sensor = "models/sensors/mellah2016_observer.onnx"
+        assert main(["export", sensor, "--c", str(tmp_path / "c")]) == 0
+        tmp_path = tmp_path / "c"
+    else:
+        for source in core_library.source_folder().glob("*.[ch]"):
+            (tmp_path / source.name).write_bytes(source.read_bytes())
     subprocess.run(
         [compiler, "-std=c99", "-pedantic", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow",
          "-Werror", "-c", *(path.name for path in sorted(tmp_path.glob("*.c")))],

@@ -12,18 +12,19 @@
 
 int main(void)
 {
-    double estimate[GOLDEN_OUTPUTS], sigma[GOLDEN_OUTPUTS], worst[2] = {0.0, 0.0};
+    motorlens_real estimate[GOLDEN_OUTPUTS], sigma[GOLDEN_OUTPUTS];
+    double worst[2] = {0.0, 0.0};
     motorlens_state state;
     motorlens_start(&SENSOR, &state, 1000000);
     for (int row = 0; row < GOLDEN_ROWS; row++) {
-        motorlens_sample sample = {golden_time_ns[row], golden_voltage_V[row], golden_current_A[row],
-                                   golden_ambient_C[row], 0};
+        motorlens_sample sample = {golden_time_ns[row], (motorlens_real)golden_voltage_V[row],
+                                   (motorlens_real)golden_current_A[row], (motorlens_real)golden_ambient_C[row], 0};
         const uint32_t quality = motorlens_update(&SENSOR, &state, &sample);
         motorlens_evaluate(&SENSOR, &state, &sample, quality, estimate, sigma);
         for (int k = 0; k < GOLDEN_OUTPUTS; k++) {
             const int at = row * GOLDEN_OUTPUTS + k;
-            const double apart = fabs(estimate[k] - golden_estimate[at]) / golden_scale[k];
-            const double wider = fabs(sigma[k] - golden_sigma[at]) / golden_scale[k];
+            const double apart = fabs((double)estimate[k] - golden_estimate[at]) / golden_scale[k];
+            const double wider = fabs((double)sigma[k] - golden_sigma[at]) / golden_scale[k];
             if (!(apart <= worst[0]))
                 worst[0] = apart;
             if (!(wider <= worst[1]))

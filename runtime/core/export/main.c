@@ -10,14 +10,19 @@
 int main(void)
 {
     motorlens_state state;
-    motorlens_sample sample = {0, 0.0, 0.0, (double)NAN, 0};
-    double time_s;
+    motorlens_sample sample = {0, 0, 0, (motorlens_real)NAN, 0};
+    double time_s, voltage_V, current_A, ambient_C;
     motorlens_start(&SENSOR, &state, 1000000); /* a sample each millisecond */
-    while (scanf("%lf,%lf,%lf", &time_s, &sample.voltage_V, &sample.current_A) == 3) {
-        double estimate[MOTORLENS_OUTPUTS], sigma[MOTORLENS_OUTPUTS];
+    while (scanf("%lf,%lf,%lf", &time_s, &voltage_V, &current_A) == 3) {
+        motorlens_real estimate[MOTORLENS_OUTPUTS], sigma[MOTORLENS_OUTPUTS];
         uint32_t quality;
-        if (SENSOR.gate.needs_ambient && scanf(",%lf", &sample.ambient_C) != 1)
-            return 1;
+        if (SENSOR.gate.needs_ambient) {
+            if (scanf(",%lf", &ambient_C) != 1)
+                return 1;
+            sample.ambient_C = (motorlens_real)ambient_C;
+        }
+        sample.voltage_V = (motorlens_real)voltage_V;
+        sample.current_A = (motorlens_real)current_A;
         sample.time_ns = (int64_t)floor(time_s * 1e9 + 0.5);
         sample.flags = 0;
         quality = motorlens_update(&SENSOR, &state, &sample);
@@ -26,7 +31,7 @@ int main(void)
         quality = motorlens_evaluate(&SENSOR, &state, &sample, quality, estimate, sigma);
         printf("%.9g", time_s);
         for (int k = 0; k < SENSOR.network.outputs; k++)
-            printf(",%.9g,%.9g", estimate[k], sigma[k]);
+            printf(",%.9g,%.9g", (double)estimate[k], (double)sigma[k]);
         printf(",%lu\n", (unsigned long)quality);
     }
     return 0;

@@ -5,7 +5,7 @@ and its doubts are said in the quality word. All decisions depend on earlier sam
 """
 
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import ceil, floor, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +94,8 @@ class GateLimits:
     warm_up_ns: int
     cold_ns: int
     first_dt_ns: int
-    slowest_ns: float
-    fastest_ns: float
+    slowest_ns: int
+    fastest_ns: int
     range: tuple[float, float, float, float]
     absurd_V: float
     absurd_A: float
@@ -114,7 +114,7 @@ def limits_of(specification: Specification) -> GateLimits:
     return GateLimits(
         warm_up_ns=round(specification.warm_up_s * 1e9), cold_ns=specification.cold_ns,
         first_dt_ns=specification.first_dt_ns,
-        slowest_ns=1.01e9 / specification.minimum_rate_Hz, fastest_ns=0.99e9 / specification.maximum_rate_Hz,
+        slowest_ns=floor(1.01e9 / specification.minimum_rate_Hz), fastest_ns=ceil(0.99e9 / specification.maximum_rate_Hz),
         range=(*envelope.voltage_V, *envelope.current_A),
         absurd_V=_ABSURD * most_V, absurd_A=_ABSURD * most_A,
         move_V=_MOVE_SHARE * (envelope.voltage_V[1] - envelope.voltage_V[0]),

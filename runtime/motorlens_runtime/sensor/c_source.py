@@ -53,16 +53,19 @@ def config(tables: Tables, single: bool) -> str:
         "OBSERVER": max(observer.size, observer.outputs) if observer else 1,
         "REGISTERS": max((p.registers for p in programs), default=1),
     }  # fmt: skip
+    functions = sum(1 << number for number in {step.function for step in tables.steps})
     operations = sum(1 << number for number in {step[0] for program in programs for step in program.steps})
     lines = "\n".join(f"#define MOTORLENS_{name} {max(value, 1)}" for name, value in room.items())
     return f"""/* motorlens_config.h - written by `motorlens export`: what the core is compiled for. */
 #ifndef MOTORLENS_CONFIG_H
 #define MOTORLENS_CONFIG_H
 
-typedef {"float" if single else "double"} motorlens_real; /* of the network; what remembers is double everywhere */
+#define MOTORLENS_SINGLE {int(single)} /* 1: single precision, and filters in whole numbers of 64 bits */
+typedef {"float" if single else "double"} motorlens_real; /* of measurements and network; the observer is double */
 
 {lines}
 #define MOTORLENS_REGISTER {"uint8_t" if largest <= 256 else "uint16_t"}
+#define MOTORLENS_FUNCTIONS {functions:#x}u
 #define MOTORLENS_OPERATIONS {operations:#x}u
 
 #endif
@@ -139,15 +142,10 @@ class _Printer:
         features = [
             self._put("uint8_t", "first", map(str, first)), self._put("uint8_t", "second", map(str, second)),
             self._put("uint8_t", "filter_signal", map(str, t.filter_signals)),
-            self._put("double", "tau_s", map(_double, t.tau_s)), self._put("uint16_t", "plus", map(str, t.plus)),
+            *self._filters(t), self._put("uint16_t", "plus", map(str, t.plus)),
             self._put("uint16_t", "minus", map(str, t.minus)),
         ]  # fmt: skip
-        mean = self._put("double", "mean", map(_double, t.mean))
-        whitening = (
-            "0"
-            if t.whitening is None
-            else self._put("motorlens_real", "whitening", map(self._real, t.triangle))
-        )
+        envelope = [*self._envelope(t), self._real(t.limit), str(t.distrust)]
         steps = [
             f"{{{step.function}, {3 if step.shared else len(step.arguments)}, {step.width}, "
             f"{{{', '.join(self._argument(a) for a in (*step.arguments, *step.arguments)[:2])}}}, "
@@ -156,7 +154,7 @@ class _Printer:
         ]
         network = [
             self._put("motorlens_step", "steps", steps), str(len(t.steps)), str(len(t.offset)), self._argument(t.estimate),
-            self._argument(t.sigma), self._put("double", "offset", map(_double, t.offset)),
+            self._argument(t.sigma), self._put("motorlens_real", "offset", map(self._real, t.offset)),
         ]  # fmt: skip
         watching = (
             "{{0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}, 0, 0, 0, 0, 1.0, 0.0}"
@@ -172,9 +170,8 @@ class _Printer:
             )
         g = t.gate
         gate = [
-            *(f"INT64_C({value})" for value in (g.warm_up_ns, g.cold_ns, g.first_dt_ns)),
-            *map(_double, (g.slowest_ns, g.fastest_ns, *g.range, g.absurd_V, g.absurd_A, g.move_V, g.flowing_A, g.noise_A,
-                           g.slew_A_ns)),
+            *map(_whole, (g.warm_up_ns, g.cold_ns, g.first_dt_ns, g.slowest_ns, g.fastest_ns)),
+            *map(self._real, (*g.range, g.absurd_V, g.absurd_A, g.move_V, g.flowing_A, g.noise_A, g.slew_A_ns)),
             str(g.repeats), str(int(t.needs_ambient)),
         ]  # fmt: skip
         tables = "\n\n".join(self._tables)
@@ -187,11 +184,35 @@ class _Printer:
 
 const motorlens_sensor {name}_sensor = {{
     {{{", ".join(gate)}}},
-    {{{len(t.factors)}, {len(t.tau_s)}, {len(t.plus)}, {", ".join(features)}, {_double(t.resistance_ohm)}}},
-    {{{mean}, {whitening}, {_double(t.limit)}, {int(t.reads_z)}, {t.distrust}}},
+    {{{len(t.factors)}, {len(t.tau_s)}, {len(t.plus)}, {", ".join(features)}, {self._real(t.resistance_ohm)}}},
+    {{{", ".join(envelope)}}},
     {{{", ".join(network)}}},
     {watching}}};
 """
+
+    def _filters(self, t: Tables) -> list[str]:
+        if t.whole is None:
+            return [self._put("double", "tau_s", map(_double, t.tau_s))]
+        return [
+            self._put("float", "per_ns", (_float(1e-9 / tau_s) for tau_s in t.tau_s)),
+            self._put("float", "units", map(_float, t.whole.units)),
+        ]
+
+    def _envelope(self, t: Tables) -> list[str]:
+        triangle = "0"
+        if len(t.triangle):
+            kind, text = ("motorlens_real", _double) if t.whole is None else ("int32_t", str)
+            triangle = self._put(kind, "whitening", map(text, t.triangle.tolist()))
+        if t.whole is None:
+            return [self._put("double", "mean", map(_double, t.mean)), triangle]
+        observed = [
+            self._put("double", label, map(_double, column))
+            for label, column in zip(("observed_mean", "observed_scale"), t.whole.observed.T, strict=True)
+        ] if len(t.whole.observed) else ["0", "0"]  # fmt: skip
+        return [
+            self._put("int64_t", "mean", map(_whole, t.whole.mean)), self._put("uint8_t", "shift", map(str, t.whole.shift)),
+            *observed, triangle, self._put("float", "unit", map(_float, t.whole.unit)),
+        ]  # fmt: skip
 
     def _put(self, kind: str, label: str, values: Iterable[str]) -> str:
         self._tables.append(_table(kind, f"{self._name}_{label}", values))
@@ -226,20 +247,23 @@ def _table(kind: str, name: str, values: Iterable[str]) -> str:
     return f"static const {kind} {name}[] = {{\n    " + ",\n    ".join(lines) + "};"
 
 
+def _whole(value: int) -> str:
+    return f"INT64_C({value})"
+
+
 def _double(value: Any) -> str:
     number = float(value)
-    if np.isnan(number):
-        return "NAN"
-    if np.isinf(number):
-        return "INFINITY" if number > 0 else "-INFINITY"
-    return repr(number)
+    return repr(number) if np.isfinite(number) else f"(double){_special(number)}"
 
 
 def _float(value: Any) -> str:
-    number = np.float32(value)
-    if not np.isfinite(number):
-        return _double(number)
-    return f"{float(str(number))!r}f"
+    with np.errstate(over="ignore"):
+        number = np.float32(value)
+    return f"{float(str(number))!r}f" if np.isfinite(number) else _special(float(number))
+
+
+def _special(number: float) -> str:
+    return "NAN" if np.isnan(number) else "INFINITY" if number > 0 else "-INFINITY"
 
 
 def written(name: str, title: str, tables: Tables, golden: Golden, single: bool,

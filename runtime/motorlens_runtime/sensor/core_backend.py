@@ -86,7 +86,7 @@ class CoreBackend:
         triangle = None
         if t.whitening is not None:
             triangle = self._array(t.triangle, np.float64)
-        envelope = EnvelopeTable(self._array(t.mean, np.float64), triangle, t.limit, t.reads_z, t.distrust)
+        envelope = EnvelopeTable(self._array(t.mean, np.float64), triangle, t.limit, t.distrust)
         steps = [
             StepTable(
                 step.function, 3 if step.shared else len(step.arguments), step.width,

@@ -164,7 +164,7 @@ def _structure(name: str, **fields: Any) -> type[ctypes.Structure]:
 
 _room = limits()
 GateTable = _structure(
-    "GateTable", warm_up_ns=i64, cold_ns=i64, first_dt_ns=i64, slowest_ns=f64, fastest_ns=f64, least_V=f64, most_V=f64,
+    "GateTable", warm_up_ns=i64, cold_ns=i64, first_dt_ns=i64, slowest_ns=i64, fastest_ns=i64, least_V=f64, most_V=f64,
     least_A=f64, most_A=f64, absurd_V=f64, absurd_A=f64, move_V=f64, flowing_A=f64, noise_A=f64, slew_A_ns=f64, repeats=i32,
     needs_ambient=i32,
 )  # fmt: skip
@@ -172,9 +172,7 @@ FeatureTable = _structure(
     "FeatureTable", signals=u16, filters=u16, features=u16, first=pointer, second=pointer, filter_signal=pointer,
     tau_s=pointer, plus=pointer, minus=pointer, resistance_ohm=f64,
 )  # fmt: skip
-EnvelopeTable = _structure(
-    "EnvelopeTable", mean=pointer, whitening=pointer, limit=f64, reads_z=i32, distrust=i32
-)
+EnvelopeTable = _structure("EnvelopeTable", mean=pointer, whitening=pointer, limit=f64, distrust=i32)
 ArgumentTable = _structure("ArgumentTable", weights=pointer, start=u16, columns=u16)
 StepTable = _structure(
     "StepTable", function=u8, arguments=u8, width=u16, argument=ArgumentTable * 2, low=real, high=real

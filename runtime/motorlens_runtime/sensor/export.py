@@ -123,8 +123,8 @@ def prove(files: Mapping[str, str]) -> Proof | None:
 
 def _card(sensor: Sensor, name: str, single: bool, proof: Proof | None) -> str:
     precision = (
-        "The network computes in single precision; the filters, the observer and what they remember in double,\n"
-        "which a core without double precision does in software."
+        "Measurements and network are in single precision, filters in whole numbers of 64 bits, the features' distance\n"
+        "from where the sensor was trained in 32; an observer computes in double, which such a core does in software."
         if single
         else "All is computed in double precision."
     )
