@@ -29,6 +29,9 @@ _BALANCE = {"electrical": "voltage", "mechanical": "torque", "thermal": "heat"}
 CELLS, FEWEST = 6, 20
 # Share of the top speed below which the rotor counts as near standstill.
 STANDSTILL = 0.02
+# Error over noise floor up to which a model follows to the noise: less than half of what is seen is then missing physics,
+# and the floor's own error is far smaller (`benchmarks/floors.py`).
+FOLLOWS = 1.2
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,11 @@ class Channel:
     bias: float
     largest: float
     noise_floor: float
+
+    @property
+    def times_noise(self) -> float:
+        """The error in units of the floor."""
+        return self.rmse / max(self.noise_floor, 1e-300)
 
 
 @dataclass(frozen=True)
@@ -90,6 +98,16 @@ class Comparison:
     orders: tuple[
         tuple[float, float], ...
     ]  # (order of the shaft, amplitude in rad/s) of the speed error, strongest first
+
+    @property
+    def worst(self) -> str:
+        """The channel with the largest error in units of its floor."""
+        return max(self.channels, key=lambda name: self.channels[name].times_noise)
+
+    @property
+    def follows(self) -> bool:
+        """Whether the model follows the recordings to their noise."""
+        return self.channels[self.worst].times_noise < FOLLOWS
 
 
 def compare(file: MotorFile, recordings: Sequence[Recording]) -> Comparison:

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 # A channel with more distinct values than this share of its samples is no converter's.
 FEW = 0.5
+# A difference of two values by this share of the largest is rounding: converters have up to 24 bits.
+ROUNDING = 1e-9
 # The largest lean: from there on the mean no longer rises with the truth.
 MOST = 0.5
 # Standard deviation of a lean that is computed from the noise; samples in a piece.
@@ -32,6 +34,9 @@ def quantisation_step(y: Array) -> float:
         return 0.0
     steps = np.diff(values)
     step = float(np.median(steps[steps < 2.5 * np.min(steps)]))
+    # Numbers that differ by their rounding alone are continuous.
+    if step <= ROUNDING * float(np.abs(values).max()):
+        return 0.0
     whole = steps / step
     return step if np.max(np.abs(whole - np.round(whole))) < 0.1 else 0.0
 

@@ -18,7 +18,7 @@ import numpy as np
 from motorlens_physics.estimate.between_samples import BETTER, as_they_ran
 from motorlens_physics.estimate.delays import LEVEL, gain, late_channels, nearer, realigned
 from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse, plain_noise, squares, start_model
-from motorlens_physics.estimate.model import TOLERANCE, Model
+from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.noise import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
 from motorlens_physics.estimate.prior import Prior, base_prior
@@ -35,12 +35,15 @@ from motorlens_physics.estimate.weighed import (
 )
 from motorlens_physics.motor_file import MotorFile
 
-# Delays are looked for in this many times as many samples as everything else: they may be a tenth of what is looked at.
+# Delays are looked for in this many times as many samples as everything else, for they may be a tenth of what is looked at;
+# and so many are next.
 FARTHER = 4
 # How often channels that are late are looked for again.
 REALIGNED = 4
-# Relative error of simulations until all that is left is a small step.
-COARSE = 10 * TOLERANCE
+# Relative error of simulations until all samples are looked at.
+COARSE = 1e-4
+# Steps with all samples for which the noise is as it was found in pieces: the first make up for what those did not tell.
+TRUSTED = 2
 # Updates of the noise at the end.
 SETTLED = 20
 # A fit this close to the minimum, in standard deviations of the result, counts as converged.
@@ -92,9 +95,11 @@ def estimate(
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
     progress("coming near")
-    near = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
-    point = _in_full(near, model, runs, prior, progress)
-    point = at(replace(point.model, tolerance=TOLERANCE), point, prior)
+    point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
+    point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
+    point = _with_more(point, model, runs, runs, prior, progress)
+    if point.model.tolerance != model.tolerance:
+        point = at(replace(point.model, tolerance=model.tolerance), point, prior)
     point, gram, left = minimised(point, prior, progress, outliers=True)
     # Only where it ends does scatter between blocks tell of what is missing; on the way it is the parameters that are wrong.
     tempered = point.tempered()
@@ -146,21 +151,29 @@ def _near(
     return point
 
 
-def _in_full(
-    near: Weighed, begin: Model, whole: Sequence[Run], prior: Prior, progress: Callable[[str], None]
+def _with_more(
+    near: Weighed,
+    begin: Model,
+    runs: Sequence[Run],
+    whole: Sequence[Run],
+    prior: Prior,
+    progress: Callable[[str], None],
 ) -> Weighed:
-    """From a point of pieces of some runs to one of all their samples; itself if it has them."""
-    which = cut(whole, near.runs)
-    if not any(which):
+    """From a point of some samples near the best parameters of more of them; itself if there are no more."""
+    more = cut(runs, near.runs)
+    if not any(more):
         return near
-    progress("all samples")
-    runs = tuple(as_found(run, piece) for run, piece in zip(whole, near.runs, strict=True))
-    point = first_point(starting_as(near.model, begin, which), runs, prior.keys)
+    progress(f"{sum(len(run.measured) for run in runs)} samples")
+    few = cut(whole, runs)
+    model = replace(starting_as(near.model, begin, more), tolerance=COARSE if any(few) else begin.tolerance)
+    found = tuple(as_found(run, piece) for run, piece in zip(runs, near.runs, strict=True))
+    prior = prior_of(prior, begin, runs, few)
+    point = first_point(model, found, prior.keys)
     parts = [
         replace(part, noise=part.noise.like(known.noise))
         for part, known in zip(point.parts, near.parts, strict=True)
     ]
-    return minimised(replace(point, parts=tuple(parts)), prior, progress, outliers=False)[0]
+    return minimised(replace(point, parts=tuple(parts)), prior, progress, outliers=False, trusted=TRUSTED)[0]
 
 
 def _concluded(end: Weighed, prior: Prior, gram: Array, left: float) -> Estimate:

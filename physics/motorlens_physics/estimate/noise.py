@@ -39,7 +39,8 @@ ENOUGH, SMALLEST = 0.0025, 1e-8
 # An extrapolation takes updates to shorten by this share at the slowest, and goes this far in the logarithm.
 SLOWEST, FARTHEST = 0.95, 3.0
 # Variances are believed down to this share of the channel's mean square: ten times the integration's own error, squared.
-LEAST = 1e-9
+# And in a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
+LEAST, TINY = 1e-9, 1e-12
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
 
@@ -98,7 +99,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
     scale = np.array(
         [np.mean(y[there] ** 2) if there.any() else 1.0 for y, there in _columns(run.measured, run)]
     )
-    floor = np.maximum(run.quantum**2, LEAST * scale)
+    floor = np.maximum(run.quantum**2, np.maximum(LEAST * scale, TINY))
     shown = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
     looks = np.array(
         [noise_sd(y, step) ** 2 + step**2 / 12 for y, step in zip(shown, run.input_step, strict=True)]

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.converter import Converter, converter_of, leaning, quantisation_step
 from motorlens_physics.estimate.signals import moving_mean, noise_sd
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.recording import Recording
+from motorlens_physics.recording import Recording, inputs_of
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 
@@ -62,7 +63,7 @@ class Run:
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
         shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
-        there: (N, C) which samples of each output were measured.
+        there: (N, C) which samples of each output were measured, and not imposed on the motor.
         quantum: (C,) standard deviation that the converter of an output adds to a sample.
         input_step: the least significant bit of voltage and load torque, 0 if continuous.
         corrections: (N, 2) what truly acted less what the sensors of voltage (V) and load torque (N m) showed, as a fit
@@ -189,10 +190,18 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     Raises:
         DataError: nothing measured but inputs, or too short.
     """
-    used = tuple(c for c in STATE_OF if c in channels and recording.has(c))
+    # What something imposes on the motor is an input while it does.
+    imposed = {
+        "current": _tied(recording, "terminal", Terminal.CURRENT),
+        "speed": _tied(recording, "shaft", Shaft.TURNED),
+    }
+    used = tuple(
+        c for c in STATE_OF if c in channels and recording.has(c) and not (c in imposed and imposed[c].all())
+    )
     if not used:
         raise DataError(
-            f"{recording.name}: only inputs are recorded; at least one of current, speed and temperature is needed"
+            f"{recording.name}: only inputs are recorded; at least one of current, speed and temperature is needed, "
+            "measured while nothing imposes it"
         )
     rows = len(recording)
     if rows < 40:
@@ -210,7 +219,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     for k, channel in enumerate(used):
         y = recording.channels[channel]
         there, hangs = np.isfinite(y), hanging(y)
-        present[:, k] = there & ~hangs
+        present[:, k] = there & ~hangs & ~imposed.get(channel, False)
         if hangs.any():
             first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
             hung[channel] = (first, last)
@@ -222,8 +231,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         quantum[k] = coarse
         floor[k] = max(coarse, 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
-    load = recording.channels.get("load_torque", np.zeros(rows))
-    inputs = Inputs(time, recording.channels["voltage"], load, ambient)
+    inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
     angle = recording.channels.get("angle")
     if angle is not None and not np.isfinite(angle).all():
@@ -249,6 +257,11 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         offset_below=exact, converters=tuple(converter_of(recording.channels[q]) for q in used),
         shaft=shaft, hung=hung,
     )  # fmt: skip
+
+
+def _tied(recording: Recording, quantity: str, to: int) -> NDArray[np.bool_]:
+    """(N,) where the terminals or the shaft are tied to this."""
+    return np.asarray(recording.channels.get(quantity, np.full(len(recording), -1.0)) == to)
 
 
 def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, ...]:

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
 from motorlens_physics.estimate.innovations import Sums, disturbances, innovations, sums
 from motorlens_physics.estimate.model import Model, error_of, sensitivities_of
@@ -29,7 +30,7 @@ BLOCKS, LEAST_BLOCKS = 64, 8
 # Steps, with the noise as it is found.
 ROUNDS = 20
 # The fit ends this close to the minimum, in standard deviations of the result.
-ENOUGH = 0.02
+ENOUGH = 0.05
 # Close enough to look at how the inputs ran, and at outliers: what a step changes is then noise.
 CLOSE = 1.0
 
@@ -76,6 +77,9 @@ class Errors:
         seen, _, _ = disturbances(space, filtered)
         # A load brakes: what the torque balance got too little, the load sensor showed too much.
         corrections = np.column_stack([seen[:, VOLTAGE], -seen[:, LOAD]])
+        if self.run.inputs.terminal is not None:
+            # Shorted terminals have no voltage to be measured wrongly.
+            corrections[self.run.inputs.terminal != Terminal.DRIVEN, 0] = 0.0
         return replace(self, noise=noise, used=used, run=self.run.corrected(corrections))
 
 
@@ -182,13 +186,21 @@ def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers
 
 
 def minimised(
-    point: Weighed, prior: Prior, progress: Callable[[str], None], *, outliers: bool
+    point: Weighed, prior: Prior, progress: Callable[[str], None], *, outliers: bool, trusted: int = 0
 ) -> tuple[Weighed, Array, float]:
-    """The best parameters from a point, noise and corrected inputs found along the way."""
-    latest = [point]
+    """The best parameters from a point, noise and corrected inputs found along the way.
+
+    Args:
+        point: where to begin.
+        prior: the free parameters.
+        progress: told how far there is to go.
+        outliers: leave them out, and go to the end; otherwise all samples count, and it only comes `CLOSE`.
+        trusted: for how many steps the noise stays as it is, because it was found where errors were small.
+    """
+    latest, updates = [point], iter([0] * trusted)
 
     def between(here: Weighed) -> Weighed:
-        latest[0] = noisier(here, BRIEFLY, outliers=outliers)
+        latest[0] = noisier(here, next(updates, BRIEFLY), outliers=outliers)
         return latest[0]
 
     return minimise(

@@ -24,13 +24,10 @@ POINTS = 600
 
 def verdict(found: Comparison) -> str:
     """One sentence: how good the model is, and where it fails."""
-    worst = max(
-        found.channels, key=lambda c: found.channels[c].rmse / max(found.channels[c].noise_floor, 1e-300)
-    )
+    worst = found.worst
     channel = found.channels[worst]
-    times = channel.rmse / max(channel.noise_floor, 1e-300)
-    size = f"{significant(channel.rmse)} {channel.unit} rms in {worst}, {times:.2g} times its noise"
-    if times < 1.2:
+    size = f"{significant(channel.rmse)} {channel.unit} rms in {worst}, {channel.times_noise:.2g} times its noise"
+    if found.follows:
         return f"The model follows these recordings to their noise ({size})."
     named = [name for name, equation in found.equations.items() if equation.testable and equation.share > 0]
     if not named:
@@ -87,7 +84,7 @@ def to_text(found: Comparison) -> str:
         f"{'channel':14}{'rmse':>11}{'x noise':>9}{'fit %':>8}{'bias':>11}{'largest':>11}{'noise':>11}"
     )
     for name, c in found.channels.items():
-        times = c.rmse / max(c.noise_floor, 1e-300)
+        times = c.times_noise
         rows.append(
             f"{name + ', ' + c.unit:14}{c.rmse:11.4g}{times:9.3g}{c.fit_percent:8.1f}{c.bias:11.3g}{c.largest:11.4g}"
             f"{c.noise_floor:11.3g}"
@@ -248,7 +245,7 @@ def _cumulative(
 def _channel_table(found: Comparison) -> Table:
     rows = [
         [
-            name, c.unit, c.rmse, c.rmse / max(c.noise_floor, 1e-300), c.fit_percent, c.bias, c.largest, c.noise_floor,
+            name, c.unit, c.rmse, c.times_noise, c.fit_percent, c.bias, c.largest, c.noise_floor,
         ]
         for name, c in found.channels.items()
     ]  # fmt: skip
