@@ -1,11 +1,12 @@
 """How far a motor file is from recordings, and where: by channel, equation, operating region, time scale and shaft angle.
 
 Nothing in the motor is fitted: the model runs freely, driven by the measured voltage, load and ambient, from the start that
-fits all samples (`free_run`). Which equation is to blame is a question of its own: how much of the error of the free run a
-free force in that equation, and in no other, would take away.
+fits all samples (`free_run`), or those of the beginning of a long recording (`long_recordings`). Which equation is to blame
+is a question of its own: how much of the error of the free run a free force in that equation, and in no other, would take
+away.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.free_run import FreeRun, free_runs
 from motorlens_physics.estimate.model import Model
-from motorlens_physics.estimate.run import STATE_OF, UNIT_OF, prepare_all
+from motorlens_physics.estimate.run import STATE_OF, UNIT_OF
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import TimeConstants, time_constants
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_workbench.balances import EQUATIONS, missing_of
 from motorlens_workbench.curves import curves
+from motorlens_workbench.long_recordings import FIRST, along, beginnings, is_long
 from motorlens_workbench.screen import Line
 
 Array = NDArray[np.float64]
@@ -86,7 +88,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that `motorlens compare` found."""
+    """All that `motorlens compare` found; `notes` are what was done to long recordings, in words."""
 
     file: MotorFile
     overlays: tuple[Overlay, ...]
@@ -98,6 +100,7 @@ class Comparison:
     orders: tuple[
         tuple[float, float], ...
     ]  # (order of the shaft, amplitude in rad/s) of the speed error, strongest first
+    notes: tuple[str, ...] = ()
 
     @property
     def worst(self) -> str:
@@ -110,36 +113,57 @@ class Comparison:
         return self.channels[self.worst].times_noise < FOLLOWS
 
 
-def compare(file: MotorFile, recordings: Sequence[Recording]) -> Comparison:
+def compare(
+    file: MotorFile, recordings: Sequence[Recording], progress: Callable[[str], None] = lambda text: None
+) -> Comparison:
     """Run the model beside recordings and say where they part.
+
+    Args:
+        file: the motor.
+        recordings: of it.
+        progress: is told what is done next.
 
     Raises:
         DataError: a recording holds no measured output, or is too short.
         ModelError: the model cannot be simulated on one of them; the message says which.
     """
-    runs = prepare_all(recordings, file)
+    runs = beginnings(recordings, file)
     try:
-        model, beside = free_runs(file, runs)
+        progress("finding how each recording starts, and its noise")
+        model, begun = free_runs(file, runs)
+        beside = list(begun)
+        for r, recording in enumerate(recordings):
+            if is_long(recording):
+                progress(f"running along {recording.name}")
+                beside[r] = along(recording, model, r, begun[r])
     except ModelError as error:
         names = ", ".join(run.name for run in runs)
         raise ModelError(f"{names}: the model cannot follow this recording: {error}") from None
-    overlays = [
-        Overlay(
-            one.run, one.trajectory, one.predicted, one.floor,
-            missing_of(model, one.run, r, one.trajectory, one.predicted),
-        )
-        for r, one in enumerate(beside)
-    ]  # fmt: skip
+    progress("looking where it fails")
+    overlays = [_overlay(model, r, one) for r, one in enumerate(beside)]
     measured = [channel for channel in STATE_OF if any(channel in run.channels for run in runs)]
     return Comparison(
         file,
         tuple(overlays),
         {channel: _channel(channel, overlays) for channel in measured},
-        _equations(model, overlays),
+        _equations(model, overlays, begun),
         _map(overlays),
         _regions(overlays),
         {channel: _bands(channel, overlays, time_constants(file.motor)) for channel in measured},
         _orders(overlays),
+        tuple(_note(one) for one in recordings if is_long(one)),
+    )
+
+
+def _overlay(model: Model, r: int, one: FreeRun) -> Overlay:
+    missing = missing_of(model, one.run, r, one.trajectory, one.predicted)
+    return Overlay(one.run, one.trajectory, one.predicted, one.floor, missing)
+
+
+def _note(recording: Recording) -> str:
+    return (
+        f"{recording.name}: its start, delays, noise and the shares of the equations are those of the first {FIRST} samples "
+        f"({recording.part(slice(0, FIRST)).duration_s:.4g} s); the errors are of all {len(recording)}"
     )
 
 
@@ -156,9 +180,9 @@ def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:
     return Channel(UNIT_OF[channel], rmse, fit, float(np.mean(error)), float(np.abs(error).max()), floor)
 
 
-def _equations(model: Model, overlays: Sequence[Overlay]) -> dict[str, Equation]:
+def _equations(model: Model, overlays: Sequence[Overlay], begun: Sequence[FreeRun]) -> dict[str, Equation]:
     reasons = {name: _untestable(name, overlays) for name in EQUATIONS}
-    removable = _removable(model, overlays, [name for name in EQUATIONS if not reasons[name]])
+    removable = _removable(model, begun, [name for name in EQUATIONS if not reasons[name]])
     whole = sum(removable.values())
     found = {}
     for name, unit in EQUATIONS.items():
@@ -168,7 +192,7 @@ def _equations(model: Model, overlays: Sequence[Overlay]) -> dict[str, Equation]
     return found
 
 
-def _removable(model: Model, overlays: Sequence[Overlay], names: Sequence[str]) -> dict[str, float]:
+def _removable(model: Model, overlays: Sequence[FreeRun], names: Sequence[str]) -> dict[str, float]:
     """How much of the squared error, in units of the noise, only a free force in each of these equations takes away.
 
     The force is a sum of free curves against speed, current, temperature and time; it costs something beyond a tenth of
@@ -190,7 +214,7 @@ def _removable(model: Model, overlays: Sequence[Overlay], names: Sequence[str]) 
     for r, overlay in enumerate(overlays):
         run = overlay.run
         line = Line.of(model, run, r)
-        sigma = overlay.noise / np.sqrt(run.every)
+        sigma = overlay.floor / np.sqrt(run.every)
         kept = run.fresh()
         columns = (
             np.concatenate([line.of_curve(curve) for curve in free], axis=2)[kept] / sigma[None, :, None]

@@ -24,15 +24,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.command_inputs import input_words, inputs_from, print_notes
     from motorlens_workbench.comparison import compare
+    from motorlens_workbench.long_recordings import is_long
     from motorlens_workbench.report.comparison import to_html, to_json, to_text
     from motorlens_workbench.report.page import write
+    from motorlens_workbench.telling import teller
 
     given = inputs_from(arguments)
     recordings = given.recordings(arguments.recordings)
-    found = compare(given.file, recordings)
+    say = teller("compare") if any(map(is_long, recordings)) else lambda text: None
+    found = compare(given.file, recordings, say)
     write_json(to_json(found, arguments.recordings, arguments.motor), arguments.json)
     if arguments.html:
         words = ["motorlens", "compare", *arguments.recordings, *input_words(arguments)]
+        say("writing the page")
         write(to_html(found, arguments.recordings, arguments.motor, shlex.join(words)), arguments.html)
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":

@@ -73,6 +73,7 @@ def to_json(found: Comparison, recordings: Sequence[str], motor: str) -> dict[st
             for name, r in found.regions.items()
         },
         "time_scales": {channel: dict(bands) for channel, bands in found.bands.items()},
+        "notes": list(found.notes),
         "orders": [{"order": order, "amplitude_rad_s": amplitude} for order, amplitude in found.orders],
     }  # fmt: skip
 
@@ -105,7 +106,7 @@ def to_text(found: Comparison) -> str:
     if found.orders:
         orders = ", ".join(f"{order:.0f} ({amplitude:.3g} rad/s)" for order, amplitude in found.orders)
         rows += ["", f"strongest shaft orders in the speed error: {orders}"]
-    return "\n".join(rows)
+    return "\n".join([*rows, *([""] if found.notes else []), *found.notes])
 
 
 def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: str) -> Iterator[str]:
@@ -115,6 +116,7 @@ def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: s
         "was fitted. What is missing is the question of motorlens diagnose.",
         "The noise floor is what a perfect model would miss by: the noise of the sensor itself, and what the noise of the "
         "measured inputs stirs up in the simulation and did not stir up in the motor.",
+        *(f"{note}." for note in found.notes),
     ]
     sections = [
         Section("Measured and predicted", _overlays(found)),
