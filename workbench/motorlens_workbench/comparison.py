@@ -1,27 +1,27 @@
 """How far a motor file is from recordings, and where: by channel, equation, operating region, time scale and shaft angle.
 
 Nothing in the motor is fitted: the model runs freely, driven by the measured voltage, load and ambient, from the start that
-fits all samples (`free_run`), or those of the beginning of a long recording (`long_recordings`). Which equation is to blame
+fits all samples (`free_run`), or the beginning of a long recording (`long_recordings`). Which equation is to blame
 is a question of its own: how much of the error of the free run a free force in that equation, and in no other, would take
 away.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.free_run import FreeRun, free_runs
+from motorlens_physics.estimate.free_run import FreeRun
 from motorlens_physics.estimate.model import Model
-from motorlens_physics.estimate.run import STATE_OF, UNIT_OF
+from motorlens_physics.estimate.run import STATE_OF, UNIT_OF, prepare
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import TimeConstants, time_constants
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_workbench.balances import EQUATIONS, missing_of
 from motorlens_workbench.curves import curves
-from motorlens_workbench.long_recordings import FIRST, along, beginnings, is_long
+from motorlens_workbench.long_recordings import PART, beside, block, is_long, means
 from motorlens_workbench.screen import Line
 
 Array = NDArray[np.float64]
@@ -127,26 +127,19 @@ def compare(
         DataError: a recording holds no measured output, or is too short.
         ModelError: the model cannot be simulated on one of them; the message says which.
     """
-    runs = beginnings(recordings, file)
     try:
-        progress("finding how each recording starts, and its noise")
-        model, begun = free_runs(file, runs)
-        beside = list(begun)
-        for r, recording in enumerate(recordings):
-            if is_long(recording):
-                progress(f"running along {recording.name}")
-                beside[r] = along(recording, model, r, begun[r])
+        model, whole = beside(file, recordings, progress)
     except ModelError as error:
-        names = ", ".join(run.name for run in runs)
+        names = ", ".join(recording.name for recording in recordings)
         raise ModelError(f"{names}: the model cannot follow this recording: {error}") from None
     progress("looking where it fails")
-    overlays = [_overlay(model, r, one) for r, one in enumerate(beside)]
-    measured = [channel for channel in STATE_OF if any(channel in run.channels for run in runs)]
+    overlays = [_overlay(model, r, one) for r, one in enumerate(whole)]
+    measured = [channel for channel in STATE_OF if any(channel in o.run.channels for o in overlays)]
     return Comparison(
         file,
         tuple(overlays),
         {channel: _channel(channel, overlays) for channel in measured},
-        _equations(model, overlays, begun),
+        _equations(model, recordings, overlays),
         _map(overlays),
         _regions(overlays),
         {channel: _bands(channel, overlays, time_constants(file.motor)) for channel in measured},
@@ -161,9 +154,11 @@ def _overlay(model: Model, r: int, one: FreeRun) -> Overlay:
 
 
 def _note(recording: Recording) -> str:
+    step_s = block(recording) * recording.period_s
     return (
-        f"{recording.name}: its start, delays, noise and the shares of the equations are those of the first {FIRST} samples "
-        f"({recording.part(slice(0, FIRST)).duration_s:.4g} s); the errors are of all {len(recording)}"
+        f"{recording.name}: its start is that of the first {PART} samples; delays and noise are those of the {PART} in "
+        f"which the inputs change most; the shares of the equations are those of means over {step_s:.3g} s; "
+        f"the errors are of all {len(recording)}"
     )
 
 
@@ -180,9 +175,12 @@ def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:
     return Channel(UNIT_OF[channel], rmse, fit, float(np.mean(error)), float(np.abs(error).max()), floor)
 
 
-def _equations(model: Model, overlays: Sequence[Overlay], begun: Sequence[FreeRun]) -> dict[str, Equation]:
+def _equations(
+    model: Model, recordings: Sequence[Recording], overlays: Sequence[Overlay]
+) -> dict[str, Equation]:
     reasons = {name: _untestable(name, overlays) for name in EQUATIONS}
-    removable = _removable(model, begun, [name for name in EQUATIONS if not reasons[name]])
+    tested = [name for name in EQUATIONS if not reasons[name]]
+    removable = _removable(model, recordings, overlays, tested)
     whole = sum(removable.values())
     found = {}
     for name, unit in EQUATIONS.items():
@@ -192,7 +190,16 @@ def _equations(model: Model, overlays: Sequence[Overlay], begun: Sequence[FreeRu
     return found
 
 
-def _removable(model: Model, overlays: Sequence[FreeRun], names: Sequence[str]) -> dict[str, float]:
+def _line(model: Model, r: int, recording: Recording, overlay: Overlay) -> Line:
+    """The linear problem of a recording, along the means of its blocks if it is long."""
+    if not is_long(recording):
+        return Line.of(model, overlay.run, r)
+    return Line.of(model, replace(prepare(means(recording), model.file), turns=overlay.run.turns), r)
+
+
+def _removable(
+    model: Model, recordings: Sequence[Recording], overlays: Sequence[Overlay], names: Sequence[str]
+) -> dict[str, float]:
     """How much of the squared error, in units of the noise, only a free force in each of these equations takes away.
 
     The force is a sum of free curves against speed, current, temperature and time; it costs something beyond a tenth of
@@ -204,22 +211,26 @@ def _removable(model: Model, overlays: Sequence[FreeRun], names: Sequence[str]) 
         "mechanical": rated.torque_Nm,
         "thermal": motor.k0 * rated.rise_K,
     }
-    free = curves([o.trajectory for o in overlays], [_BALANCE[name] for name in names])
+    lines = [
+        _line(model, r, recording, o)
+        for r, (recording, o) in enumerate(zip(recordings, overlays, strict=True))
+    ]
+    free = curves([line.trajectory for line in lines], [_BALANCE[name] for name in names])
     if not free:
         return {}
     owner = np.array(
         [name for curve in free for name in names if _BALANCE[name] == curve.balance for _ in curve.knots]
     )
     gram, gradient = np.zeros((len(owner), len(owner))), np.zeros(len(owner))
-    for r, overlay in enumerate(overlays):
-        run = overlay.run
-        line = Line.of(model, run, r)
-        sigma = overlay.floor / np.sqrt(run.every)
-        kept = run.fresh()
+    for recording, line, overlay in zip(recordings, lines, overlays, strict=True):
+        rows = line.run
+        size = block(recording) * rows.every
+        sigma = overlay.noise / np.sqrt(size)
+        kept = rows.fresh()
         columns = (
             np.concatenate([line.of_curve(curve) for curve in free], axis=2)[kept] / sigma[None, :, None]
         )
-        error = run.average(overlay.error)[kept] / sigma
+        error = replace(overlay.run, every=size).average(overlay.error)[kept] / sigma
         flat = columns.reshape(-1, len(owner))
         gram += flat.T @ flat
         gradient += flat.T @ error.ravel()

@@ -1,51 +1,85 @@
-"""Long recordings beside a model: what is no matter of the motor is found in their beginning, then the model runs along all.
+"""Long recordings beside a model: what is no matter of the motor is found in two parts, then the model runs along all of it.
 
-The start, delays, how inputs ran between samples and the noise are those of some tens of thousands of samples as well as of
-a million, and the linear problem behind a free force in an equation takes a kilobyte a sample.
+The start is found in the first samples. Delays, how the inputs ran between samples, and the noise are found where the inputs
+change most: at rest nothing of that shows. Both are told as well by some tens of thousands of samples as by a million. What
+would take an error away is looked for along the means of blocks: the linear problem takes kilobytes a sample.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from motorlens_physics.estimate.free_run import FreeRun
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.free_run import FreeRun, free_runs
 from motorlens_physics.estimate.model import Model, predict
-from motorlens_physics.estimate.run import Run, prepare, prepare_all
+from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
+from motorlens_runtime.files.columns import WORDS
 
-# Samples of a beginning: a minute at a kilohertz, three hours at five hertz.
-FIRST = 60_000
+Array = NDArray[np.float64]
+
+# A recording of more samples is long; so many samples has each of its parts, and so many blocks its means.
+LONG, PART, BLOCKS = 60_000, 15_000, 15_000
 
 
 def is_long(recording: Recording) -> bool:
-    """Whether only a beginning of it is fitted to."""
-    return len(recording) > FIRST
+    """Whether only parts of it are fitted to."""
+    return len(recording) > LONG
 
 
-def beginnings(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, ...]:
-    """The first samples of each, prepared. Raises DataError, see `prepare`."""
-    return prepare_all([recording.part(slice(0, FIRST)) for recording in recordings], file)
+def block(recording: Recording) -> int:
+    """How many samples are averaged to look for what would take an error away; 1 where it is not long."""
+    return -(-len(recording) // BLOCKS) if is_long(recording) else 1
 
 
-def along(recording: Recording, model: Model, r: int, begun: FreeRun) -> FreeRun:
-    """The model along a whole recording, from the start that its beginning has.
+def means(recording: Recording) -> Recording:
+    """The mean of each block of samples; of what the terminals and the shaft are tied to, the first."""
+    size = block(recording)
+    if size == 1:
+        return recording
 
-    Args:
-        recording: all of it.
-        model: fitted to the beginning.
-        r: its position in the model.
-        begun: its beginning beside the model.
+    def blocks(y: Array) -> Array:
+        return y[: len(y) // size * size].reshape(-1, size)
+
+    channels = {
+        q: blocks(y)[:, 0] if q in WORDS else blocks(y).mean(axis=1) for q, y in recording.channels.items()
+    }
+    return replace(recording, time_s=blocks(recording.time_s).mean(axis=1), channels=channels)
+
+
+def beside(
+    file: MotorFile, recordings: Sequence[Recording], progress: Callable[[str], None]
+) -> tuple[Model, tuple[FreeRun, ...]]:
+    """The motor file beside all samples of recordings, nothing of the motor fitted.
 
     Raises:
-        DataError: see `prepare`.
-        ModelError: the simulation cannot go on.
+        DataError: see `run.prepare`.
+        ModelError: the motor cannot be simulated on one of them.
     """
-    found = begun.run
-    run = replace(
-        prepare(recording, model.file), turns=found.turns, converters=found.converters, noise=found.noise
-    )
+    runs = prepare_all(recordings, file)
+    long = [r for r, recording in enumerate(recordings) if is_long(recording)]
+    begins = [one.part(slice(0, PART)) if is_long(one) else one for one in recordings]
+    lively = [recordings[r].part(runs[r].liveliest(PART)) for r in long]
+    progress("finding how each recording starts, and its noise")
+    model, parts = free_runs(file, prepare_all([*begins, *lively], file) if long else runs)
+    whole, own, held = list(parts[: len(runs)]), list(model.own[: len(runs)]), list(model.held[: len(runs)])
+    for k, r in enumerate(long, start=len(runs)):
+        skews = {name: value for name, value in model.own[k].items() if name.startswith("skew.")}
+        own[r], held[r] = {**own[r], **skews}, model.held[k]
+    along = replace(model, own=tuple(own), held=tuple(held))
+    for k, r in enumerate(long, start=len(runs)):
+        progress(f"running along {recordings[r].name}")
+        whole[r] = _along(along, runs[r], r, parts[k])
+    return along, tuple(whole)
+
+
+def _along(model: Model, run: Run, r: int, lively: FreeRun) -> FreeRun:
+    """All of a run, with the delays, converters and floor of its liveliest part."""
+    found = lively.run
     for channel, samples in found.late.items():
         run = run.delayed(channel, samples)
-    run = run.holding(found.inputs.hold)
+    run = replace(run.holding(found.inputs.hold), converters=found.converters, noise=found.noise)
     trajectory, predicted = predict(model, run, r)
-    return FreeRun(run, trajectory, predicted, begun.floor)
+    return FreeRun(run, trajectory, predicted, lively.floor)

@@ -1,11 +1,13 @@
 """Recordings as text: CSV and its relatives, zipped or not; see `motorlens_runtime.files.layout` for what is understood."""
 
 import gzip
+import io
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -20,37 +22,79 @@ EXTRA = "workbench"
 _CODES = {word: float(code) for words in WORDS.values() for code, word in enumerate(words)}
 
 
+@dataclass(frozen=True)
+class _Body:
+    """What follows the headings: in the file from octet `at` on, or here where it had to be written anew to be read."""
+
+    path: Path
+    at: int
+    anew: bytes | None = None
+
+    def opened(self) -> BinaryIO:
+        """To be read from its beginning, piece by piece: a large file is not held in memory."""
+        if self.anew is not None:
+            return io.BytesIO(self.anew)
+        file = self.path.open("rb")
+        file.seek(self.at)
+        return file
+
+    def whole(self) -> bytes:
+        """All of it."""
+        with self.opened() as file:
+            return file.read()
+
+    def end(self) -> bytes:
+        """Its last octets."""
+        with self.opened() as file:
+            begin, size = file.tell(), file.seek(0, io.SEEK_END)
+            file.seek(max(begin, size - HEAD_BYTES))
+            return file.read()
+
+    def is_empty(self) -> bool:
+        """Whether nothing but blanks is in it."""
+        with self.opened() as file:
+            return not any(piece.strip() for piece in iter(lambda: file.read(HEAD_BYTES), b""))
+
+
 def read(path: Path) -> Table:
-    """Read a text file whole; its numbers are parsed when they are asked for."""
-    raw = path.read_bytes()
-    if raw.startswith(b"\x1f\x8b"):
+    """Open a text file; its numbers are parsed when they are asked for."""
+    with _Body(path, 0).opened() as file:
+        head = file.read(HEAD_BYTES)
+        short = not file.read(1)
+    raw = None
+    if head.startswith(b"\x1f\x8b"):
         try:
-            raw = gzip.decompress(raw)
+            raw = gzip.decompress(path.read_bytes())
         except (EOFError, OSError, zlib.error) as error:
             raise DataError(f"{path}: the compressed file is damaged or cut short ({error})") from None
-    layout = layout_of(raw[:HEAD_BYTES], str(path), len(raw) <= HEAD_BYTES)
+        head, short = raw[:HEAD_BYTES], len(raw) <= HEAD_BYTES
+    layout = layout_of(head, str(path), short)
     if layout.encoding not in ("utf-8", "utf-8-sig"):
-        raw = raw.decode(layout.encoding, errors="replace").encode()
-    if b"\r" in raw[:HEAD_BYTES] and b"\n" not in raw[:HEAD_BYTES]:
-        raw = raw.replace(b"\r", b"\n")
-    at = 0
-    for _ in range(layout.first_row - 1):
-        at = raw.find(b"\n", at) + 1 or len(raw)
-    # A large file is not held twice.
-    body = memoryview(layout.plain(raw[at:])) if layout.separator == " " else memoryview(raw)[at:]
+        raw = (path.read_bytes() if raw is None else raw).decode(layout.encoding, errors="replace").encode()
+        head = raw[:HEAD_BYTES]
+    if b"\r" in head and b"\n" not in head:
+        raw = (path.read_bytes() if raw is None else raw).replace(b"\r", b"\n")
+    with _Body(path, 0, raw).opened() as file:
+        for _ in range(layout.first_row - 1):
+            file.readline()
+        at = file.tell()
+        blanks = layout.separator == " "
+        body = _Body(path, at, file.read() if blanks or raw is not None else None)
+    if blanks and body.anew is not None:
+        body = replace(body, anew=layout.plain(body.anew))
     notes: list[str] = []
 
     def numbers(used: Sequence[int]) -> Mapping[int, Array]:
-        if not (bytes(body[:HEAD_BYTES]).strip() or bytes(body).strip()):
+        if body.is_empty():
             raise DataError(f"{path}: 0 rows of data; a recording needs at least two")
         fast = _by_arrow(body, layout, used, notes)
-        return fast if fast is not None else _by_cell(body, layout, used, path, notes)
+        return fast if fast is not None else _by_cell(body.whole(), layout, used, path, notes)
 
     return Table(layout.headings, numbers, layout.first_row, notes, layout.named)
 
 
 def _by_arrow(
-    body: memoryview, layout: Layout, used: Sequence[int], notes: list[str]
+    body: _Body, layout: Layout, used: Sequence[int], notes: list[str]
 ) -> Mapping[int, Array] | None:
     """The columns asked for where every cell of them is a number or missing; None where some are not."""
     try:
@@ -66,40 +110,44 @@ def _by_arrow(
         short.append(row)
         return "skip"
 
+    parts: dict[int, list[Array]] = {k: [] for k in used}
     try:
-        found = csv.read_csv(
-            pa.BufferReader(body),
-            read_options=csv.ReadOptions(column_names=list(names.values()), block_size=1 << 24),
-            parse_options=csv.ParseOptions(delimiter=layout.separator, invalid_row_handler=skip),
-            convert_options=csv.ConvertOptions(
-                include_columns=[names[k] for k in used],
-                column_types={names[k]: pa.float64() for k in used},
-                null_values=sorted(words),
-                decimal_point=layout.decimal,
-            ),
-        )
+        with (
+            body.opened() as file,
+            csv.open_csv(
+                file,
+                read_options=csv.ReadOptions(column_names=list(names.values()), block_size=1 << 24),
+                parse_options=csv.ParseOptions(delimiter=layout.separator, invalid_row_handler=skip),
+                convert_options=csv.ConvertOptions(
+                    include_columns=[names[k] for k in used],
+                    column_types={names[k]: pa.float64() for k in used},
+                    null_values=sorted(words),
+                    decimal_point=layout.decimal,
+                ),
+            ) as batches,
+        ):
+            for batch in batches:
+                for k in used:
+                    # Not by `to_numpy`, which imports pandas wherever that is installed.
+                    parts[k].append(np.asarray(batch.column(names[k]).fill_null(np.nan)))
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
         return None
-    last = bytes(body[-HEAD_BYTES:]).rstrip().rpartition(b"\n")[2].decode(errors="replace").strip()
+    last = body.end().rstrip().rpartition(b"\n")[2].decode(errors="replace").strip()
     comments = [row for row in short if is_comment(row.text)]
     cut = [row for row in short if row.text.strip() == last and row not in comments]
     if len(comments) + len(cut) < len(short):
         return None
     notes += _left_out(len(comments), bool(cut))
-    table = {}
-    for k in used:
-        # Not by `to_numpy`, which imports pandas wherever that is installed.
-        chunks = found[names[k]].chunks
-        table[k] = np.concatenate([np.asarray(chunk.fill_null(np.nan)) for chunk in chunks] or [np.empty(0)])
-    return table
+    # A part is given back as soon as it stands in its column.
+    return {k: np.concatenate(parts.pop(k) or [np.empty(0)]) for k in used}
 
 
 def _by_cell(
-    body: memoryview, layout: Layout, used: Sequence[int], path: Path, notes: list[str]
+    body: bytes, layout: Layout, used: Sequence[int], path: Path, notes: list[str]
 ) -> Mapping[int, Array]:
     """Line by line: slower, and says exactly which cell is at fault. A date and time becomes seconds since the first."""
     table: dict[int, list[float]] = {k: [] for k in used}
-    lines = bytes(body).decode("utf-8", errors="replace").splitlines()
+    lines = body.decode("utf-8", errors="replace").splitlines()
     origin: dict[int, datetime] = {}
     comments = 0
     while lines and not lines[-1].strip():
