@@ -80,12 +80,14 @@ def ended(page, place, text=re.compile(".")):
 def test_a_step_asked_for_before_the_page_knows_what_is_chosen_waits_for_that(browser, folder, tmp_path):
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     with workbench(tmp_path, "bench.csv") as url, opened(browser, "about:blank") as page:
-        asked = []
-        page.route("**/choice", lambda route: asked.append(route) if not asked else route.continue_())
+        asked, released = [], []
+        page.route("**/choice", lambda route: asked.append(route) if not released else route.continue_())
         page.goto(url)
         page.get_by_role("button", name="Compare", exact=True).click()
         eventually(lambda: page.evaluate("1") and asked, "the question what is chosen")
         assert page.locator("#problem").is_hidden() and page.locator("#running").is_hidden()
+        assert len(asked) == 1
+        released.append(True)
         asked[0].continue_()
         page.locator("#running-what", has_text="compare").wait_for()
         page.get_by_role("button", name="Cancel").click()

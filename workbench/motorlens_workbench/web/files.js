@@ -4,6 +4,7 @@ const PIECE = 1 << 20; // octets of a file that are sent at once; the server tak
 const Files = {
   there: null, // what can be chosen
   chosen: {motor: "", recordings: [], judge: [], columns: [], ranges: [], voltage_commanded: false, terminal: "", shaft: ""},
+  asked: null, // the first look, while it is under way
   change: () => {}, // called when the choice has changed
 
   async start(change) {
@@ -29,7 +30,7 @@ const Files = {
 
   // A step that is asked for before the page knows what is chosen waits for that.
   async ready() {
-    if (!this.there) await this.read();
+    if (!this.there) await (this.asked ??= this.read().finally(() => { this.asked = null; }));
   },
 
   async read(motor) {
