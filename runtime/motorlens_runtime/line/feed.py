@@ -10,9 +10,8 @@ import numpy as np
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.files.recorded import open_recorded, period_of
-from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.line.dialects import Dialect, make_dialect, recognise
-from motorlens_runtime.line.link import Link, joined, slice_of
+from motorlens_runtime.line.link import joined, slice_of
 from motorlens_runtime.line.sources import Options, Source, number_of, open_source, split
 
 Clock = Callable[[], int]
@@ -85,9 +84,7 @@ class LineFeed:
         dialect = rest.pop("dialect", None)
         self._source: Source | None = open_source(parts, rest)
         self._decoder: Dialect | None = None
-        if dialect == "frames":
-            self._decoder = open_link()
-        elif dialect is not None:
+        if dialect is not None:
             self._decoder = make_dialect(dialect, rest)
         elif rest:
             self._source.close()
@@ -108,7 +105,7 @@ class LineFeed:
             return NO_SAMPLES
         decoder = self._decoder
         try:
-            if decoder is not None and not isinstance(decoder, Link):  # frames come unasked
+            if decoder is not None and decoder.asks:
                 if question := decoder.request(self._clock()):
                     self._source.write(question)
                 timeout_s = min(timeout_s, decoder.patience_s(self._clock()))
@@ -136,21 +133,8 @@ class LineFeed:
 
     def report(self) -> dict[str, Any]:
         """See `Feed.report`."""
-        decoder = self._decoder
-        report: dict[str, Any] = {"reconnects": self._reconnects}
-        if decoder is not None:
-            report |= {"bytes": decoder.bytes_seen, "bad_frames": decoder.bad_frames}
-        if isinstance(decoder, Link):
-            report |= {
-                name: getattr(decoder.counters, name)
-                for name in decoder.counters.__dataclass_fields__
-                if name != "samples"
-            }
-            if decoder.complaint is not None:
-                report["complaint"] = decoder.complaint
-            elif decoder.hello is None and decoder.bytes_seen:
-                report["complaint"] = "frames come, but no HELLO that says what they mean"
-        return report
+        said = {} if self._decoder is None else self._decoder.report()
+        return {"reconnects": self._reconnects, **said}
 
     def close(self) -> None:
         """See `Feed.close`."""
@@ -164,12 +148,12 @@ class LineFeed:
         if spoken == "text":
             self._decoder = make_dialect("text")
         elif spoken == "frames" or len(self._heard) >= _RECOGNISE_BYTES:
-            self._decoder = open_link()
+            self._decoder = make_dialect("frames")
         return self._decoder
 
     def _timed(self, decoder: Dialect, samples: Samples) -> Samples:
         """Hold the first samples back until the rate is known."""
-        if isinstance(decoder, Link):
+        if decoder.announces:
             self.period_s, self.device = decoder.period_s, decoder.device
             return samples
         if self._held is None:

@@ -5,7 +5,8 @@ exactly on its grid; a later stamp is a gap; a restart goes on by the time that 
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,17 +60,15 @@ class Link(Dialect):
         hello: what the device said of itself, None before.
         status: its last counters, None before.
         complaint: why the last HELLO was of no use, None if it was.
-        period_s: time between samples, None before HELLO.
-        device: what the device calls itself.
     """
+
+    announces = True
 
     def __init__(self) -> None:
         super().__init__()
         self.hello: Hello | None = None
         self.status: Status | None = None
         self.complaint: str | None = None
-        self.period_s: float | None = None
-        self.device = ""
         self._decoder = Decoder()
         self._assembler = HelloAssembler()
         self._scaling: Scaling | None = None
@@ -89,6 +88,17 @@ class Link(Dialect):
     def counters(self) -> Counters:
         """What happened on the line so far."""
         return Counters(**self._count_of)
+
+    def report(self) -> dict[str, Any]:
+        """See `Dialect.report`."""
+        counters = asdict(self.counters)
+        del counters["samples"]
+        report = super().report() | counters
+        if self.complaint is not None:
+            report["complaint"] = self.complaint
+        elif self.hello is None and self.bytes_seen:
+            report["complaint"] = "frames come, but no HELLO that says what they mean"
+        return report
 
     def feed(self, data: bytes, now_ns: int) -> Samples:
         """See `Dialect.feed`; stamps are the device's."""

@@ -10,6 +10,7 @@ import math
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from typing import Any
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.gate import Samples
@@ -22,7 +23,16 @@ class Dialect(ABC):
     Attributes:
         bytes_seen: all bytes fed so far.
         bad_frames: pieces that looked like a message and were damaged or not understood.
+        asks: whether the drive must be asked; `request` and `patience_s` are of use only then.
+        announces: whether the drive says itself how often it samples; else its samples show it.
+        period_s: time between samples, None where that is not announced, or not yet.
+        device: what the drive calls itself.
     """
+
+    asks = False
+    announces = False
+    period_s: float | None = None
+    device = ""
 
     def __init__(self) -> None:
         self.bytes_seen = 0
@@ -45,6 +55,10 @@ class Dialect(ABC):
     def patience_s(self, now_ns: int) -> float:
         """How long to wait for bytes before `request` wants to be asked again; for ever if it never has anything to send."""
         return math.inf
+
+    def report(self) -> dict[str, Any]:
+        """Counters, by name; a `complaint` in words where nothing can be made of what comes."""
+        return {"bytes": self.bytes_seen, "bad_frames": self.bad_frames}
 
 
 def make_dialect(name: str, options: Mapping[str, str] | None = None) -> Dialect:

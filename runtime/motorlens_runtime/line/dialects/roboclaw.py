@@ -43,6 +43,8 @@ def make(options: Options) -> "RoboClaw":
 class RoboClaw(Dialect):
     """Decoder of the three replies, and the host that asks for them one at a time."""
 
+    asks = True
+
     def __init__(
         self, motor: int = 1, address: int = 0x80, poll_Hz: float = 50.0, signed: bool = False
     ) -> None:

@@ -55,6 +55,8 @@ def make(options: Options) -> "Vesc":
 class Vesc(Dialect):
     """Decoder of VESC packets, and the host that asks for them."""
 
+    asks = True
+
     def __init__(self, poll_Hz: float = 100.0, selective: bool = True) -> None:
         super().__init__()
         self._period_ns = round(1e9 / poll_Hz) if poll_Hz else 0
