@@ -14,6 +14,8 @@ from helpers.sensor_files import features_by_loop, write_sensor
 
 from motorlens_runtime.cli import main
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):

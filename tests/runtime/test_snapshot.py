@@ -20,10 +20,11 @@ from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_runtime.service import snapshot
 
 S = 1_000_000_000
+pytestmark = pytest.mark.usefixtures("engine")
 
 
 @pytest.fixture(scope="module", params=["plain", "ambient", "observer"])
-def sensor(request, tmp_path_factory):
+def sensor(engine, request, tmp_path_factory):
     path = tmp_path_factory.mktemp("sensor") / "s.onnx"
     if request.param == "observer":
         write_with_observer(path)

@@ -2,11 +2,13 @@
 
 import json
 import os
+import threading
 from dataclasses import replace
 
 import numpy as np
 import onnx
 import pytest
+from helpers.processes import eventually
 from helpers.sensor_files import make_spec, seal, write_sensor
 
 from motorlens_runtime.cli import main
@@ -15,6 +17,8 @@ from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_runtime.service.swap import Swap, carried
+
+pytestmark = pytest.mark.usefixtures("engine")
 
 
 def alike(folder, name, seed=0, shift=0.0, sigma=1.0):
@@ -167,9 +171,13 @@ def test_the_file_is_watched_by_the_command(tmp_path, monkeypatch):
         "time_s,voltage_V,current_A\n"
         + "".join(f"{k / 1000},{100 + k % 7},{8 + k % 3}\n" for k in range(6000))
     )
-    import threading
+    running = tmp_path / "out.csv"
 
-    threading.Timer(1.0, lambda: os.replace("new.onnx", "s.onnx")).start()
+    def replace_when_running():
+        eventually(lambda: running.exists() and running.stat().st_size > 1000, "the first rows")
+        os.replace("new.onnx", "s.onnx")
+
+    threading.Thread(target=replace_when_running, daemon=True).start()
     arguments = ["run", "--source", "file:rec.csv?speed=1", "--sensor", "s.onnx", "--swap", "0.5"]
     assert main([*arguments, "--publish", "csv:out.csv", "--json", "report.json"]) == 0
     report = json.loads((tmp_path / "report.json").read_text())
