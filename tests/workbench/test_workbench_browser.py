@@ -12,6 +12,9 @@ from helpers.processes import MOTORLENS, Program, eventually
 
 from motorlens_runtime.cli import main
 from motorlens_runtime.files.columns import WORDS
+from motorlens_workbench.web.session import Session
+from motorlens_workbench.web.shelf import Shelf
+from motorlens_workbench.web.step import Choice, Order
 
 pytestmark = [needs_browser, pytest.mark.fit]
 MODEL = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
@@ -46,6 +49,21 @@ def folder(tmp_path_factory):
     odd = heading.replace("voltage_V", "Motor Voltage measured").replace("speed_rad_s", "n")
     (found / "odd.csv").write_text(f"{odd}\n{rows}")
     (found / "broken.csv").write_text("time_s,voltage_V,current_A\n0,1,2\n0.1,oops,2\n0.2,1,2\n")
+    return found
+
+
+@pytest.fixture(scope="module")
+def compared(folder, tmp_path_factory):
+    """The folder with a session in which bench.csv was looked at and compared."""
+    found = shutil.copytree(folder, tmp_path_factory.mktemp("compared"), dirs_exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(found)
+        session = Session(Shelf((), "."), Path("motorlens-session"))
+        session.choose(Choice("motor.toml", ("bench.csv",)))
+        for kind in ("look", "compare"):
+            session.take(Order("motor.toml", ("bench.csv",), kind=kind))
+            session.join()
+        assert [step.state for step in session.steps] == ["done", "done"], session.steps
     return found
 
 
@@ -194,10 +212,11 @@ def test_a_file_is_brought_in_looked_at_mapped_and_a_range_of_it_picked(browser,
         assert float(stop) == pytest.approx(5, abs=0.02)
 
 
-def test_a_wrong_file_is_said_in_a_line_and_the_old_verdict_does_not_stand_for_it(browser, folder, tmp_path):
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+def test_a_wrong_file_is_said_in_a_line_and_the_old_verdict_does_not_stand_for_it(
+    browser, compared, tmp_path
+):
+    shutil.copytree(compared, tmp_path, dirs_exist_ok=True)
     with workbench(tmp_path, "bench.csv") as url, opened(browser, url) as page:
-        page.get_by_role("button", name="Compare", exact=True).click()
         ended(page, "compare", re.compile("misses"))
         page.get_by_role("checkbox", name="use bench.csv").uncheck()
         page.get_by_role("checkbox", name="use broken.csv").check()
@@ -254,15 +273,14 @@ def test_by_keyboard_alone_with_the_result_announced(browser, folder, tmp_path):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious_and_a_phone_is_wide_enough(browser, folder, tmp_path, scheme):
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+def test_axe_finds_nothing_serious_and_a_phone_is_wide_enough(browser, compared, tmp_path, scheme):
+    shutil.copytree(compared, tmp_path, dirs_exist_ok=True)
     with workbench(tmp_path, "bench.csv") as url:
         with opened(browser, url, color_scheme=scheme) as page:
-            page.get_by_role("button", name="Look at bench.csv").click()
+            page.get_by_role("tab", name="Look").click()
             ended(page, "look")
             assert serious(page) == []
             page.get_by_role("tab", name="1 Compare").click()
-            page.get_by_role("button", name="Compare", exact=True).click()
             ended(page, "compare")
             assert serious(page) == []
             page.get_by_role("tab", name="3 Add").click()
