@@ -16,21 +16,22 @@ from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
 
-SAMPLES, STATES, CHANNELS = 12, 3, 2
+SAMPLES, CHANNELS = 12, 2
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 
 
-@pytest.fixture(scope="module")
-def space() -> StateSpace:
+@pytest.fixture(scope="module", params=[3, 4], ids="{} states".format)
+def space(request: pytest.FixtureRequest) -> StateSpace:
     """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start."""
+    states = request.param
     rng = np.random.default_rng(0)
     keeps = np.zeros((SAMPLES - 1, 3))
     keeps[:, 2] = 0.9
     noise = np.abs(rng.standard_normal((SAMPLES, CHANNELS))) + 0.1
     noise[4, 1] = np.inf
     return StateSpace(
-        0.4 * rng.standard_normal((SAMPLES - 1, STATES, 3 * STATES)), np.array([0, 1]), np.array([0, 1, 1]),
-        np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise, np.array([0.2, 0.0, 0.0]),
+        0.4 * rng.standard_normal((SAMPLES - 1, states, states + 6)), np.array([0, 1]), np.array([0, 1, 1]),
+        np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise, np.array([0.2, *np.zeros(states - 1)]),
     )  # fmt: skip
 
 
@@ -40,8 +41,8 @@ def response(space: StateSpace, start: np.ndarray, forcing: np.ndarray) -> np.nd
     for k in range(SAMPLES):
         shown.append(x[space.shows])
         if k + 1 < SAMPLES:
-            phi, now, then = np.split(space.matrices[k], 3, axis=1)
-            first, last = np.zeros(STATES), np.zeros(STATES)
+            phi, now, then = np.split(space.matrices[k], [len(x), len(x) + 3], axis=1)
+            first, last = np.zeros(3), np.zeros(3)
             for d, balance in enumerate(space.balances):
                 first[balance] += forcing[k, d]
                 last[balance] += forcing[k if space.holds[d] else k + 1, d]
@@ -62,12 +63,12 @@ class Dense:
             for k in range(SAMPLES):
                 forcing = np.zeros((SAMPLES, 3))
                 forcing[k:, d] = np.cumprod(np.concatenate([[1.0], space.keeps[k:, d]]))
-                seen = response(space, np.zeros(STATES), forcing)
+                seen = response(space, np.zeros(len(space.start)), forcing)
                 fresh = space.variance[d] * (1 - space.keeps[k - 1, d] ** 2 if k else 1.0)
                 part += fresh * np.outer(seen, seen)
                 self.news.append((k, d, fresh, seen[self.use]))
             self.parts.append(part[np.ix_(self.use, self.use)])
-        start = response(space, np.array([1.0, 0.0, 0.0]), np.zeros((SAMPLES, 3)))[self.use]
+        start = response(space, np.eye(len(space.start))[0], np.zeros((SAMPLES, 3)))[self.use]
         self.whole = sum(self.parts) + space.start[0] * np.outer(start, start) + np.diag(sensors[self.use])
         self.inverse = np.linalg.inv(self.whole)
 

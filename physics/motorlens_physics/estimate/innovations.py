@@ -21,6 +21,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.run import STATE_OF
+
 Array = NDArray[np.float64]
 
 # Sums in any order; what is infinite stays so.
@@ -104,12 +106,18 @@ def sums(space: StateSpace, columns: Array, error: Array, blocks: int) -> Sums:
     return Sums(total[:-1, :-1], scores, float(total[-1, -1]))
 
 
+def _each(space: StateSpace) -> tuple[float, ...] | Array:
+    """As long as there are states: a tuple, whose length the compiler knows, for the textbook's; else one code for all."""
+    n = space.matrices.shape[1]
+    return (0.0,) * n if n == len(STATE_OF) else np.zeros(n)
+
+
 class _Filter:
     """The Kalman filter of some columns, on its way: blocks of samples are given one after another."""
 
     def __init__(self, space: StateSpace, width: int) -> None:
         n, count = space.matrices.shape[1], len(space.balances)
-        self._space, self._shape = space, (0.0,) * n
+        self._space, self._each = space, _each(space)
         self._covariance = np.diag(np.concatenate([space.start, space.variance]))
         self._states = np.zeros((n + count, width))
 
@@ -119,7 +127,7 @@ class _Filter:
         white, scale = np.empty(columns.shape), np.empty((samples, channels))
         gain = np.zeros((samples, channels, len(self._states)))
         _filter(
-            self._shape, space.matrices, space.shows, tuple(space.balances.tolist()), space.holds, space.keeps,
+            self._each, space.matrices, space.shows, tuple(space.balances.tolist()), space.holds, space.keeps,
             space.variance, space.noise, first, self._covariance, self._states, np.ascontiguousarray(columns), white, scale,
             gain,
         )  # fmt: skip
@@ -140,7 +148,7 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
         np.zeros((len(space.noise), count)), np.zeros((2, count)), np.zeros((2, channels))
     )  # fmt: skip
     _smooth(
-        (0.0,) * space.matrices.shape[1], space.matrices, space.shows, tuple(space.balances.tolist()), space.holds,
+        _each(space), space.matrices, space.shows, tuple(space.balances.tolist()), space.holds,
         space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
@@ -164,7 +172,7 @@ def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-
 def _filter(  # type: ignore[no-untyped-def]
     each, matrices, shows, balances, holds, keeps, variance, noise, begin, P, z, y, white, scale, gain
 ):
-    # Lengths of tuples are known to the compiler: loops of three unroll.
+    # The compiler unrolls loops over tuples.
     n, count = len(each), len(balances)
     s, channels, width = n + count, y.shape[1], y.shape[2]
     A, G, late = np.zeros((n, s)), np.zeros((n, count)), np.zeros((n, count))
