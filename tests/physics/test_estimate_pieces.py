@@ -59,6 +59,10 @@ def test_pieces_lead_where_all_samples_lead(monkeypatch: pytest.MonkeyPatch) -> 
     # Both stop within a twentieth of a deviation of where their noise leads, which is found anew.
     assert np.abs((ends - meant) / sd).max() < 0.15
     np.testing.assert_allclose(np.sqrt(np.diagonal(pieces.fit.covariance)), sd, rtol=0.05)
+    # Going on from an end, it ends there.
+    again = estimate(FILE, whole.runs, begin=whole.fit.model, onward=True)
+    stays = np.array([again.fit.model.values()[key] for key in keys])
+    assert told(again) == told(whole) and np.abs((stays - meant) / sd).max() < 0.15
 
 
 def test_a_piece_is_the_liveliest_part_and_starts_where_its_samples_say() -> None:

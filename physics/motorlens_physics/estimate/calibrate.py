@@ -176,7 +176,7 @@ def calibrate(
         # The rest of the fit leant on where these had gone.
         model = found.fit.model.with_values({key: said.value[key] for key in said.untold})
         rest = prior.only([key for key in prior.keys if key not in said.untold])
-        again = estimate(file, found.runs, rest, held=held, begin=model, progress=progress)
+        again = estimate(file, found.runs, rest, begin=model, onward=True, progress=progress)
         fitted = again.fit.model.values()
         value |= {key: fitted[key] for key in said.told}
     known = {key: Knowledge(said.sd[key], f"calibrated on {names}") for key in said.told}

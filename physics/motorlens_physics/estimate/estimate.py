@@ -19,7 +19,7 @@ from motorlens_physics.estimate.between_samples import BETTER, as_they_ran
 from motorlens_physics.estimate.delays import LEVEL, gain, late_channels, nearer, realigned
 from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse, plain_noise, squares, start_model
 from motorlens_physics.estimate.model import Model
-from motorlens_physics.estimate.noise import PIECE
+from motorlens_physics.estimate.noise import PIECE, Noise
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
 from motorlens_physics.estimate.prior import Prior, base_prior
 from motorlens_physics.estimate.run import Run
@@ -74,6 +74,7 @@ def estimate(
     *,
     held: bool | None = None,
     begin: Model | None = None,
+    onward: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Estimate:
     """Fit a motor to prepared recordings.
@@ -85,6 +86,8 @@ def estimate(
         held: whether measured inputs hold between samples or run linearly; None decides by the likelihood, each input and
             recording of its own.
         begin: where to begin, instead of the motor file.
+        onward: go on from an earlier estimate, whose runs these are: their delays and how their inputs ran stay, and their
+            noise is where this one begins. What changed since then should be small.
         progress: told what goes on.
 
     Raises:
@@ -95,9 +98,12 @@ def estimate(
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
     progress("coming near")
-    point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
-    point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
-    point = _with_more(point, model, runs, runs, prior, progress)
+    if onward:
+        point = _from_noise(model, runs, [run.noise for run in runs], prior)
+    else:
+        point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
+        point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
+        point = _with_more(point, model, runs, runs, prior, progress)
     if point.model.tolerance != model.tolerance:
         point = at(replace(point.model, tolerance=model.tolerance), point, prior)
     point, gram, left = minimised(point, prior, progress, outliers=True)
@@ -168,12 +174,18 @@ def _with_more(
     model = replace(starting_as(near.model, begin, more), tolerance=COARSE if any(few) else begin.tolerance)
     found = tuple(as_found(run, piece) for run, piece in zip(runs, near.runs, strict=True))
     prior = prior_of(prior, begin, runs, few)
-    point = first_point(model, found, prior.keys)
+    point = _from_noise(model, found, [part.noise for part in near.parts], prior)
+    return minimised(point, prior, progress, outliers=False, trusted=TRUSTED)[0]
+
+
+def _from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise | None], prior: Prior) -> Weighed:
+    """A point with noise that was found before."""
+    point = first_point(model, runs, prior.keys)
     parts = [
-        replace(part, noise=part.noise.like(known.noise))
-        for part, known in zip(point.parts, near.parts, strict=True)
+        part if known is None else replace(part, noise=part.noise.like(known))
+        for part, known in zip(point.parts, noises, strict=True)
     ]
-    return minimised(replace(point, parts=tuple(parts)), prior, progress, outliers=False, trusted=TRUSTED)[0]
+    return replace(point, parts=tuple(parts))
 
 
 def _concluded(end: Weighed, prior: Prior, gram: Array, left: float) -> Estimate:
