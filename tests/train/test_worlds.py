@@ -51,7 +51,7 @@ def test_the_plant_is_the_motor_of_the_physics(held):
 
 # From the review: cleaner, noisier, in steps and ramps; the old observer was 10 to 300 K off in each, and sure of it.
 @pytest.mark.fit
-@pytest.mark.parametrize("excitation", ["steps", "ramps", "dither"])
+@pytest.mark.parametrize("excitation", ["steps", "ramps", "dither", "loop", "sinusoids"])
 @pytest.mark.parametrize("noise", ["0.05-0.2", "0.5-2", "4-10"])
 @pytest.mark.parametrize("between", ["held", "linear"])
 def test_it_is_not_confidently_wrong_about_its_own_motor(watching, excitation, noise, between):
@@ -78,11 +78,12 @@ def test_steps_are_good_nearly_all_the_time(watching):
 
 @pytest.mark.fit
 @pytest.mark.parametrize("number", [0, 1, 2])
-def test_another_motor_and_a_missing_brush_drop_are_told(watching, number):
+def test_another_motor_and_a_missing_brush_drop_are_told_or_the_intervals_hold_them(watching, number):
     cells = {**FILE, "excitation": "steps", "noise": "0.2-0.5", "colour": "white", "converter": "exact"}
     for other in ({"motor": "10 % off"}, {"lacks": "1.5 V drop"}):
         found, _, _ = judged(watching, at(drawn(6, number), **{**cells, **other}))
-        assert found.good < 0.3
+        held = found.good > 0 and not found.confidently_wrong and found.covered.min() > 0.95
+        assert found.good < 0.3 or held
 
 
 @pytest.mark.fit

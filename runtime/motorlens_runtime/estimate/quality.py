@@ -27,7 +27,7 @@ class Quality(IntFlag):
     JUMP = 2048  # the current changed faster than the inductance allows
     ASSUMED_COLD = 4096  # the motor is taken to have started at ambient temperature, and nothing has shown it
     LINE_LOST = 8192  # nothing has come for seconds, or samples have only just begun to come again
-    UNFORETOLD = 16384  # the observer does not foretell the voltage, or nothing has shown yet that it does
+    UNFORETOLD = 16384  # the voltage shows that the motor is likelier another than the observer's
 
 
 class OpcUa(IntEnum):

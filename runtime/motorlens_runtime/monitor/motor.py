@@ -34,7 +34,7 @@ WORDS = {
     Quality.STUCK: "a channel repeats itself",
     Quality.JUMP: "the current jumped faster than the inductance allows",
     Quality.ASSUMED_COLD: "the motor is taken to have started cold: no heat was remembered",
-    Quality.UNFORETOLD: "the observer does not foretell the voltage, or no start or step has shown yet that it does",
+    Quality.UNFORETOLD: "the voltage shows that motor or sensors are likelier others than the file's",
     Quality.LINE_LOST: "the line is lost, or has only just come back",
 }
 _THROUGHOUT = np.uint32(Quality.SIMULATED | Quality.ASSUMED_COLD)

@@ -55,7 +55,9 @@ def correct(layout: Layout) -> Program:
 
     one, two = still.window, changing.window
     K = [both(a, b) for a, b in zip(one.K, two.K, strict=True)]
-    filtered = Window(both(one.error, two.error), both(one.S, two.S), K, one.H, one.F, one.rates)
+    filtered = Window(
+        both(one.error, two.error), both(one.S, two.S), K, one.H, one.F, one.rates, one.near, share
+    )
     kept, hold, shift = told(layout, known, window, found, filtered, believed)
     new = [([x + d for x, d in zip(s.x, shift, strict=True)], s.P) for s in (still, changing)]
     surprise = both(still.surprise, changing.surprise) * believed
@@ -182,7 +184,8 @@ def _advanced(
     new = [ahead[j] + K[j] * error for j in range(n)]
     for a, b in layout.pairs:
         P[a][b] = P[a][b] - K[a] * PH[b]
-    P[load][load] = P[load][load] + 0.5 * walk
+    # What it was on average until the rotor came loose tells nothing of what it is from then on.
+    P[load][load] = P[load][load] + 0.5 * walk + near.select(torque * torque, 0.0)
     P[w][w] = P[w][w] + gap * rated.speed_rad_s**2
     for j in range(n):
         P[j][j] = P[j][j].max(1e-14 * layout.sd[j] ** 2) if layout.sd[j] else P[j][j]
@@ -192,4 +195,6 @@ def _advanced(
     new[w] = gap.select(after, new[w]).max(-fastest).min(fastest)
     surprise = error * error / S
     own = error / (S - (found.colour - 1.0) * white).sqrt()
-    return _Step(new, P, surprise, (surprise + S.log()) * -0.5, own, Window(error, S, K, H, F, rates))
+    return _Step(
+        new, P, surprise, (surprise + S.log()) * -0.5, own, Window(error, S, K, H, F, rates, near, 0.0)
+    )

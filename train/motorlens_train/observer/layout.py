@@ -34,6 +34,8 @@ class ObserverSettings:
         bend_sd: what the corrections for a current that bends within a window are good to, as a share of them.
         rise_K, rise_sd_K: the winding at the start; None: three tenths of the rated rise, 1.5 times that.
         rest: share of the rated speed below which the load is whatever the motor's torque asks for.
+        others: probability, before anything has shown, that the motor is another of its make, and as much that a voltage
+            drop of its own is there; above 0 and below a half.
         tolerances: parameters that differ from motor to motor: key and standard deviation, relative. Each is a state that
             the observer finds, but for R_a0: from a resistance alone a cold motor of a higher R_a0 is a warm one. It is
             taken to be as the file says, and the temperature to be as unsure as that makes it.
@@ -52,6 +54,7 @@ class ObserverSettings:
     rise_K: float | None = None
     rise_sd_K: float | None = None
     rest: float = 0.01
+    others: float = 0.125
     tolerances: tuple[tuple[str, float], ...] = ()
 
 

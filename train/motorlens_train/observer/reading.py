@@ -2,16 +2,15 @@
 
 from typing import Any
 
-from motorlens_train.observer.algebra import mixed, probability
-from motorlens_train.observer.discrepancies import HOLD_KNOWN, distrust
+from motorlens_train.observer.algebra import dot, mixed, probability
+from motorlens_train.observer.belief import doubt
+from motorlens_train.observer.discrepancies import HOLD_KNOWN
 from motorlens_train.observer.file import MEMORY, WINDOW
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.program import Program, Recorder
 
 # No observer is better than this share of the rating plate; below it, its sureness says nothing.
 FLOOR = {"speed": 2e-4, "temperature": 2e-3, "resistance": 2e-3}
-# A maker's tolerance: evenly spread within 10 %, as one standard deviation.
-TOLERANCE = 0.058
 
 
 def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
@@ -20,9 +19,9 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     ambient = r.input("ambient")
     window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
     memory = dict(zip(MEMORY, r.inputs(MEMORY), strict=True))
-    odds, restless = memory["odds"], memory["restless"]
+    restless = memory["restless"]
     known = layout.sensitivities(r)
-    changing = probability(odds)
+    changing = probability(memory["odds"])
     x, P = mixed(changing, layout.unpack(r))
     n = len(layout.states)
     # What is not known of how the voltage runs between samples is not known of the states.
@@ -30,22 +29,26 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     P = [[P[a][b] + V[a] * V[b] / (information + HOLD_KNOWN) for b in range(n)] for a in range(n)]
     w, theta = layout.at["w"], layout.at["theta"]
     mean = 0.5 * (window["current"] + window["current_start"])
-    rates, _ = layout.linearised(r, x, mean, window["voltage"], ambient)
+    rates, A = layout.linearised(r, x, mean, window["voltage"], ambient)
+    # Since the window began the speed has run on, by what is not known of the load as well.
+    run_on = [A[w][j] * window["time"] + (1.0 if j == w else 0.0) for j in range(n)]
     outputs: dict[str, Any] = {"speed": x[w] + rates[w] * window["time"], "temperature": x[theta]}
     outputs["resistance"] = layout.resistance(r, x)
     variances = {
-        "speed": P[w][w], "temperature": P[theta][theta], "resistance": layout.resistance_variance(r, x, P)
-    }  # fmt: skip
+        "speed": dot(run_on, [dot(row, run_on) for row in P]),
+        "temperature": P[theta][theta],
+        "resistance": layout.resistance_variance(r, x, P),
+    }
     # Where the slope has not followed the current yet, an error of the resistance is one of the speed.
     behind = (mean - memory["slope"]) * (layout.per_kelvin(x) / layout.motor.ke)
     variances["speed"] = variances["speed"] + behind * behind * P[theta][theta]
     variances["speed"] = variances["speed"] + memory["unseen"] * (9.0 / layout.motor.ke**2)
-    # A motor that is shown not to be the file's may be off by a maker's tolerance in everything.
-    doubt, shown = distrust(layout, known, x[theta])
-    another = (shown - 1.0).max(0.0).min(1.0) * TOLERANCE**2
-    variances["speed"] = variances["speed"] + another * x[w] * x[w]
-    warmer = x[theta] + 1 / layout.motor.alpha
-    variances["temperature"] = variances["temperature"] + another * warmer * warmer
+    against, grown = doubt(layout, known, memory, x, outputs["resistance"])
+    ohms = layout.per_kelvin(x)
+    for name, growth in (
+        ("speed", grown["w"]), ("temperature", grown["theta"]), ("resistance", ohms * ohms * grown["theta"])
+    ):  # fmt: skip
+        variances[name] = variances[name] + growth
     # R_a0 that is off by a share moves the temperature by that share of 1/alpha + theta.
     unknown = dict(layout.settings.tolerances).get("R_a0", 0.0)
     apart = (x[theta] + 1 / layout.motor.alpha) * unknown
@@ -63,7 +66,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     outputs["correlation"] = P[w][theta] / (P[w][w] * P[theta][theta] + 1e-30).sqrt()
     outputs["changing"] = changing
     # Above 0 is a reason not to believe the rest.
-    outputs["distrust"] = doubt.log()
+    outputs["distrust"] = against
     # An outlier lifts the average of squares by orders of magnitude; its logarithm stays within reach.
     outputs["restless"] = (restless.max(-0.9) + 1.0).log()
     return tuple(outputs), r.program(list(outputs.values()))

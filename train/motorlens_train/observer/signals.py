@@ -37,6 +37,11 @@ def above(value: Any, variance: Any) -> Any:
     return value * (square / (square + variance * ABOVE + 1e-12))
 
 
+def beyond(value: Any, limit: Any) -> Any:
+    """What of a value is beyond a limit, of either sign: what may be noise is nothing."""
+    return value - value.min(limit).max(-limit)
+
+
 @dataclass(frozen=True)
 class Signals:
     """Of one window.
@@ -49,6 +54,7 @@ class Signals:
         free: share of the current's change that the voltage drives.
         turned: change of the slope that the load made, over ke; see `correction`.
         lean: by how much the mean voltage is less if it stood between samples than if it ran linearly, V.
+        noise: one deviation of the mean current, A.
         coarse: variance that rounding in the converters adds to a window's mean voltage.
         memory: what is kept for the next window, by name.
     """
@@ -61,6 +67,7 @@ class Signals:
     free: Any
     turned: Any
     lean: Any
+    noise: Any
     coarse: Any
     memory: dict[str, Any]
 
@@ -81,14 +88,14 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     followed = away * (square / (square + spread * ABOVE + 1e-12)).max(LEAST)
     slope = memory["slope"] + followed
     # A current that may be noise says nothing about the resistance.
-    limit = spread.sqrt() * 3.0
-    weighing, weighed = (y - y.min(limit).max(-limit) for y in (slope, memory["slope"]))
+    noise = spread.sqrt()
+    weighing, weighed = (beyond(y, noise * 3.0) for y in (slope, memory["slope"]))
     lean = gap.select(0.0, window["sum_lean"] / T)
     coarse, kept = _coarse(layout, window, memory, level)
     kept |= {"drive": memory["drive"] + moved, "driven": driven, "slope": slope}
     colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
     turned = (1.0 - free) * (weighing - weighed) * (1 / m.ke)
-    return Signals(level, colour, share, slope, weighing, free, turned, lean, coarse, kept)
+    return Signals(level, colour, share, slope, weighing, free, turned, lean, noise, coarse, kept)
 
 
 def noise_memory(memory: Mapping[str, Value], error: Any, believed: Any) -> dict[str, Any]:
@@ -108,31 +115,36 @@ def noise_memory(memory: Mapping[str, Value], error: Any, believed: Any) -> dict
     }
 
 
+def rounding(layout: Layout, memory: Mapping[str, Value], level: Any = None) -> tuple[Any, Any]:
+    """Variance that rounding leaves in a steady voltage (V^2) and current (A^2), from the smallest changes seen.
+
+    Those (`fine_...`, as reciprocals) are the converter's steps q; where noise does not carry a signal over a step, what is
+    lost in rounding, q^2 / 12, stays for as long as the signal stands. Of noise sd the share exp(-2 pi^2 sd^2 / q^2) of it
+    is left (Widrow and Kollar 2008, Quantization Noise, ch. 4).
+    """
+    level = memory["log_level"].exp() if level is None else level
+    found = []
+    for channel, sd in (("voltage", layout.v_sd), ("current", layout.i_sd)):
+        step = 1.0 / memory[f"fine_{channel}"].max(1 / (COARSEST * sd))
+        square = step * step
+        found.append(square * (level * (-2 * math.pi**2 * sd**2) / square).max(-50.0).exp() * (1 / 12))
+    return found[0], found[1]
+
+
 def _coarse(
     layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Value], level: Any
 ) -> tuple[Any, dict[str, Any]]:
-    """Variance that converters add, and the smallest changes seen (as reciprocals), which are their steps q.
+    """Variance that converters add to a window's mean voltage, and the smallest changes seen (as reciprocals).
 
-    Where noise does not carry a signal over a step, what is lost in rounding, q^2 / 12, stays for as long as the signal
-    stands; the motor settles with its mechanical time constant tau, so it weighs as 2 tau / T windows' worth of white
-    noise. Of noise sd the share exp(-2 pi^2 sd^2 / q^2) of it is left (Widrow and Kollar 2008,
-    Quantization Noise, ch. 4). L (i_end - i_start) / T holds two rounded currents, each with q^2 / 12.
+    The motor settles with its mechanical time constant tau, so what rounding leaves weighs as 2 tau / T windows' worth of
+    white noise. L (i_end - i_start) / T holds two rounded currents.
     """
     T, m = window["time"], layout.motor
-    lasts = 2 * m.R_a0 * m.J / m.ke**2 / layout.period
-    total: Any = 0.0
     kept = {"last_voltage": window["voltage"] * 1.0}
-    for channel, before, sd, weight in (
-        ("voltage", memory["last_voltage"], layout.v_sd, 1.0),
-        ("current", window["current_start"], layout.i_sd, m.R_a0),
-    ):
+    for channel, before in (("voltage", memory["last_voltage"]), ("current", window["current_start"])):
         change = (window[channel] - before).abs()
-        finest = memory[f"fine_{channel}"].max((1e-9 <= change).select(1.0 / change.max(1e-9), 0.0))
-        kept[f"fine_{channel}"] = finest
-        step = 1.0 / finest.max(1 / (COARSEST * sd))
-        square = step * step
-        left = square * (level * (-2 * math.pi**2 * sd**2) / square).max(-50.0).exp()
-        total = total + left * (lasts * weight**2 / 12)
-        if channel == "current":
-            total = total + left * (m.L**2 / 6) / (T * T)
-    return total, kept
+        finest = (1e-9 <= change).select(1.0 / change.max(1e-9), 0.0)
+        kept[f"fine_{channel}"] = memory[f"fine_{channel}"].max(finest)
+    lasts = 2 * m.R_a0 * m.J / m.ke**2 / layout.period
+    volts, amps = rounding(layout, kept, level)
+    return volts * lasts + amps * (lasts * m.R_a0**2) + amps * (2 * m.L**2) / (T * T), kept

@@ -1,0 +1,106 @@
+"""Whether the motor is the file's, from what discrepancies show: Bayes factors, intervals, and every number that decides."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.duty import MELLAH
+from scipy.stats import norm
+
+from motorlens_physics.effect import catalogue
+from motorlens_train.observer import belief
+from motorlens_train.observer.layout import Layout, ObserverSettings
+from motorlens_train.observer.program import Recorder
+
+LAYOUT = Layout(MELLAH, ObserverSettings(voltage_sd=0.48, current_sd=0.0509))
+STILL = {"fine_voltage": 1e9, "fine_current": 1e9, "log_level": 0.0, "slope": 7.0}
+
+
+def doubted(inertia=(0.0, 0.0), inductance=(0.0, 0.0), drop=(0.0, 0.0), theta=20.0):
+    """Log odds against the file's motor and grown sd of speed and temperature, for (estimate, information) of each."""
+    r = Recorder()
+    given = {"inertia": inertia, "inductance": inductance, "drop": drop}
+    names = [*STILL, *(f"{k}_{n}" for k in given for n in ("score", "information")), "theta"]
+    values = dict(zip(names, r.inputs(names), strict=True))
+    states = [r.constant(0.0)] * len(LAYOUT.states)
+    known = {k: (states, values[f"{k}_information"], values[f"{k}_score"]) for k in given}
+    x = [200.0, values["theta"], 0.0]
+    against, grown = belief.doubt(
+        LAYOUT, known, values, [r.constant(200.0), x[1], r.constant(0.0)], r.constant(3.5)
+    )
+    program = r.program([against, grown["w"], grown["theta"]])
+    numbers = [*STILL.values(), *(v for b, i in given.values() for v in (b * i, i)), theta]
+    log_odds, *variances = (float(v) for v in program(*numbers))
+    return SimpleNamespace(
+        odds=np.exp(log_odds), speed=np.sqrt(variances[0]), temperature=np.sqrt(variances[1])
+    )
+
+
+@pytest.mark.parametrize(("b", "sd"), [(0.0, 0.001), (0.004, 0.001), (0.05, 0.02), (-0.2, 0.1)])
+def test_the_weight_is_the_ratio_of_two_normal_densities(b, sd):
+    r = Recorder()
+    program = r.program([belief.weight(*r.inputs(["score", "information"]), 0.002**2, 0.13**2)])
+    found = float(program(b / sd**2, 1 / sd**2)[0])
+    far, near = (norm.logpdf(b, scale=np.hypot(sd, spread)) for spread in (0.13, 0.002))
+    assert found == pytest.approx(far - near, rel=1e-9)
+
+
+@pytest.mark.parametrize("probability", [0.01, 0.04, 0.1, 0.3, 1.0])
+def test_intervals_leave_out_no_more_than_they_say(probability):
+    r = Recorder()
+    wider = float(r.program([belief.widened(r.input("p"))])(probability)[0])
+    # An even spread of half width 1, there with this probability: what lies beyond so many deviations of it.
+    beyond = [probability * max(0.0, 1.0 - reach * wider) for reach in (1.96, 4.0)]
+    assert beyond[0] <= 0.05 + 1e-12 and beyond[1] <= 0.0025 + 1e-12
+    # And one of the two is used up.
+    assert beyond[0] == pytest.approx(0.05) or beyond[1] == pytest.approx(0.0025)
+
+
+def test_what_is_too_unlikely_to_matter_widens_nothing():
+    r = Recorder()
+    assert float(r.program([belief.widened(r.input("p"))])(0.002)[0]) == 0.0
+
+
+def test_spreads_are_those_of_a_maker_s_tolerance_and_of_the_catalogue():
+    rng = np.random.default_rng(0)
+    J, ke, L = rng.uniform(0.9, 1.1, (3, 200_000))
+    assert belief.SPREAD["inertia"] == pytest.approx(np.std(np.log(J / ke**2)), rel=0.01)
+    assert belief.SPREAD["inductance"] == pytest.approx(np.std(np.log(L)), rel=0.01)
+    # A hundredth of the rated voltage: the typical drop of the catalogue.
+    typical = catalogue()["brush_voltage_drop"].typical(MELLAH.rated).V_b
+    assert belief.DROP * MELLAH.rated.voltage_V == pytest.approx(typical)
+
+
+def test_before_anything_has_shown_the_file_s_motor_is_three_times_as_likely_as_the_others():
+    nothing = doubted()
+    assert nothing.odds == pytest.approx(1 / 3)
+    # One in eight, evenly within 10 %: 95 % of it reach to 0.6 of 20 rad/s, at 1.96 deviations; four to 0.98 of it.
+    assert nothing.speed == pytest.approx(0.6 * 20.0 / 1.96, rel=1e-6)
+    assert nothing.temperature == pytest.approx(0.6 * 27.0 / 1.96, rel=1e-6)
+
+
+def test_a_motor_that_is_shown_to_be_the_file_s_is_believed_and_its_intervals_are_narrow():
+    shown = doubted((0.0, 1 / 0.0005**2), (0.0, 1 / 0.005**2), (0.0, 1 / 0.01**2))
+    assert shown.odds < 0.01
+    assert shown.temperature < 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "accepted", "refused"),
+    [("inertia", 0.006, 0.008), ("inductance", 0.010, 0.016), ("drop", 0.14, 0.19)],
+)
+def test_from_what_size_on_a_discrepancy_that_is_known_well_is_another_motor(name, accepted, refused):
+    information = {"inertia": 1e9, "inductance": 1e9, "drop": 1e6}[name]
+    assert doubted(**{name: (accepted, information)}).odds < 1.0
+    assert doubted(**{name: (refused, information)}).odds > 1.0
+
+
+def test_what_remains_of_a_discrepancy_counts_nine_windows_as_one():
+    r = Recorder()
+    program = r.program([belief.remaining(*r.inputs(["score", "information"]), 1e6)])
+    assert float(program(0.0, 900.0)[0]) == pytest.approx(3 / 100, rel=1e-4)
+
+
+@pytest.mark.parametrize(("rise", "good"), [(-19.0, True), (-21.0, False), (249.0, True), (251.0, False)])
+def test_what_no_winding_can_be_is_not_believed(rise, good):
+    assert (doubted(theta=rise).odds < 1.0) == good
