@@ -3,15 +3,14 @@
 
 #include "arithmetic.h"
 
-static motorlens_real product_of(const motorlens_features *map, const motorlens_sample *sample, int signal)
+/* What signals are products of. */
+static void measure(const motorlens_features *map, const motorlens_sample *sample, motorlens_real *measured)
 {
-    motorlens_real measured[5];
     measured[0] = 1;
     measured[1] = sample->voltage_V;
     measured[2] = sample->current_A;
     measured[3] = sample->voltage_V - map->resistance_ohm * sample->current_A;
     measured[4] = sample->ambient_C;
-    return measured[map->first[signal]] * measured[map->second[signal]];
 }
 
 #if MOTORLENS_SINGLE
@@ -20,8 +19,10 @@ static motorlens_real product_of(const motorlens_features *map, const motorlens_
 
 void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, motorlens_signal *signals)
 {
+    float measured[5];
+    measure(map, sample, measured);
     for (int k = 0; k < map->signals; k++) {
-        const float x = product_of(map, sample, k) * map->units[k];
+        const float x = measured[map->first[k]] * measured[map->second[k]] * map->units[k];
         const float bounded = x > LARGEST_HIGH ? LARGEST_HIGH : x < -LARGEST_HIGH ? -LARGEST_HIGH : x;
         const int32_t high = (int32_t)bounded;
         /* Both parts are exact: a float has 24 bits. */
@@ -99,8 +100,10 @@ void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *s
 
 void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, motorlens_signal *signals)
 {
+    double measured[5];
+    measure(map, sample, measured);
     for (int k = 0; k < map->signals; k++)
-        signals[k] = product_of(map, sample, k);
+        signals[k] = measured[map->first[k]] * measured[map->second[k]];
 }
 
 void motorlens_features_of(const motorlens_features *map, const double *columns, double *features)
