@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 import onnxruntime as ort
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 
@@ -94,13 +94,18 @@ def compare(names, rows=4 * TILE, always_finite=True):
     tiles = x.reshape(-1, TILE, FEATURES).transpose(0, 2, 1)
     backend = NumpyBackend(fold(parse(data, "g"), FEATURES, "g"))
     ours = backend.evaluate(tiles)
-    for mine, theirs in zip(ours, session.run(["estimate", "sigma"], {"features": x}), strict=True):
+    ports = ["estimate", "sigma"]
+    # A cosine of 1e12 is as good as any other number: what sixteen units in the last place of a feature change by more than
+    # the tolerance has no answer to agree on.
+    nudged = session.run(ports, {"features": x * (1 + 2.0**-48)})
+    for mine, theirs, near in zip(ours, session.run(ports, {"features": x}), nudged, strict=True):
         mine = mine.transpose(0, 2, 1).reshape(rows, 3)
         good = np.isfinite(mine)
         assert np.isfinite(theirs[good]).all() and (good.all() or not always_finite)
-        np.testing.assert_allclose(
-            mine[good], theirs[good], rtol=1e-9, atol=1e-9 * np.abs(theirs[good]).max(initial=1.0)
-        )
+        tolerance = 1e-9 * np.abs(theirs[good]).max(initial=1.0)
+        told = np.isclose(near[good], theirs[good], rtol=1e-9, atol=tolerance)
+        assert told.all() or not always_finite
+        np.testing.assert_allclose(mine[good][told], theirs[good][told], rtol=1e-9, atol=tolerance)
     for tile in range(len(tiles)):
         for alone, together in zip(backend.evaluate(tiles[tile : tile + 1]), ours, strict=True):
             assert np.array_equal(alone[0], together[tile], equal_nan=True)
@@ -118,6 +123,7 @@ def test_each_operation(name):
         st.sampled_from(sorted(set(OPERATIONS) - {"Exp", "Pow", "Square", "Product of two"})), max_size=6
     )
 )
+@example(["Div by variable", "Div by variable", "Cos"])
 def test_mixtures(names):
     compare(names, always_finite=False)
 
