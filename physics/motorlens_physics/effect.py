@@ -29,11 +29,20 @@ from motorlens_runtime.errors import DataError
 
 @dataclass(frozen=True)
 class State:
-    """An extra state that an effect integrates. All states start at `initial` unless told otherwise."""
+    """An extra state that an effect integrates. All states start at `initial` unless told otherwise.
+
+    Attributes:
+        unit: as pint reads it.
+        description: one phrase.
+        initial: at the start of a recording.
+        kind: "angle" of the shaft, which every effect that has one shares; "rise" of another part that warms with the
+            winding; "" for anything else.
+    """
 
     unit: str
     description: str
     initial: float = 0.0
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -65,6 +74,16 @@ class Effect:
         """The parameter that switches the effect on: the one with a `null`."""
         (switch,) = (parameter for parameter in cls.parameters().values() if parameter.null is not None)
         return switch
+
+    @classmethod
+    def with_role(cls, role: str) -> str:
+        """The name of the parameter that is the "phase" or the "count" of what goes with the shaft's angle; "" for none."""
+        return next((name for name, parameter in cls.parameters().items() if parameter.role == role), "")
+
+    @classmethod
+    def turns(cls) -> bool:
+        """Whether it goes with the shaft's angle."""
+        return any(state.kind == "angle" for state in cls.states.values())
 
     @classmethod
     def at_null(cls, rated: Rated) -> Self:
@@ -169,4 +188,12 @@ def _check_shape(effect: type[Effect], where: str) -> None:
         raise DataError(
             f"{where}: {effect.__name__} needs exactly one parameter with null=..., the value at which it vanishes; "
             f"it has {', '.join(switches) or 'none'}"
+        )
+    balances = ("voltage", "torque", "heat", "inductance")
+    if all(getattr(effect, name) is getattr(Effect, name) for name in balances):
+        raise DataError(f"{where}: {effect.__name__} enters no balance; define one of {', '.join(balances)}")
+    angles = [name for name, state in effect.states.items() if state.kind == "angle" and name != "phi"]
+    if angles:
+        raise DataError(
+            f"{where}: {effect.__name__} calls the shaft's angle {angles[0]}; all effects share it under the name phi"
         )

@@ -27,6 +27,7 @@ class Parameter:
             "torque/speed^2"; "1" for an absolute figure in `unit`.
         null: the value at which the effect vanishes; None for a parameter that only shapes it.
         fixed: stated by choice, never calibrated (the width of a smoothing, a number of slots).
+        role: "phase" of the shaft's angle, "count" of periods a revolution; "" for anything else.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Parameter:
     of: str
     null: float | None
     fixed: bool
+    role: str = ""
 
     def typical(self, rated: "Rated") -> float:
         """The typical value in `unit` for a motor of this rating plate, within the bounds.
@@ -97,6 +99,7 @@ def param(
     of: str = "1",
     null: float | None = None,
     fixed: bool = False,
+    role: str = "",
 ) -> Any:
     """Declare a parameter of a motor, an effect or a sensor model; see `Parameter` for the arguments."""
     meaning = {
@@ -108,7 +111,7 @@ def param(
         "of": of,
         "null": null,
     }
-    return dataclasses.field(default=default, metadata={_KEY: meaning | {"fixed": fixed}})
+    return dataclasses.field(default=default, metadata={_KEY: meaning | {"fixed": fixed, "role": role}})
 
 
 def parameters(owner: Any) -> dict[str, Parameter]:

@@ -138,7 +138,7 @@ def test_a_phase_of_nought_has_a_derivative(turning, held):
 class Rub(Effect):
     """The rotor rubs at one place of the revolution, at 2 rad."""
 
-    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle")}
+    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle", kind="angle")}
     A: float = param(0.0, "N*m", "torque there", bounds=(0.0, 10.0), prior=1.0, null=0.0)
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:

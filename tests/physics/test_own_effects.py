@@ -116,6 +116,7 @@ MISTAKES = {
     "nothing in it": ("x = 3\n", "defines no effect"),
     "no decorator": (OWN.replace("@dataclass(frozen=True)\n", ""), "not a frozen dataclass"),
     "not frozen": (OWN.replace("(frozen=True)", ""), "does not run: TypeError"),
+    "no balance": (OWN.replace("def torque(", "def stiction("), "enters no balance"),
     "no switch": (OWN.replace(", null=0.0", ""), "needs exactly one parameter with null"),
     "a name that is taken": (
         OWN.replace("CubicDrag", "QuadraticDrag"),

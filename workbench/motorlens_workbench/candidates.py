@@ -118,12 +118,13 @@ def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]
     if not free:
         yield (typical,)
         return
-    if "phi" in effect.states and any(p.name == "p" for p in free):
+    phase, count = effect.with_role("phase"), effect.with_role("count")
+    if phase:
         # A phase is a sine and a cosine; the number of detents a revolution is tried.
-        counts = (4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 16, 18, 20, 24) if "N" in effect.parameters() else (None,)
-        for count in counts:
-            with_count = typical if count is None else shaped(typical, N=float(count))
-            yield tuple(shaped(with_count, p=phase) for phase in (0.0, np.pi / 2))
+        counts = (4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 16, 18, 20, 24) if count else (None,)
+        for number in counts:
+            counted = typical if number is None else shaped(typical, **{count: float(number)})
+            yield tuple(shaped(counted, **{phase: angle}) for angle in (0.0, np.pi / 2))
         return
     grids = {p.name: [f * p.typical(file.rated) for f in (0.3, 1.0, 3.0)] for p in free}
     if len(free) == 1:

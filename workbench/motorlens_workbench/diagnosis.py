@@ -155,7 +155,7 @@ def base_fit(
     """The motor fitted, and the runs with their inputs as they truly were, as far as the fit knows."""
     found = estimate(file, runs, progress=say)
     leans = any(converter.step for run in runs for converter in run.converters)
-    turned = any("phi" in effect.states for effect in file.motor.effects)
+    turned = any(effect.turns() for effect in file.motor.effects)
     followed_runs = []
     for r, run in enumerate(found.runs):
         trajectory, y = predict(found.fit.model, run, r)

@@ -133,7 +133,7 @@ class Line:
         return self.of_forcings(
             [
                 forcing(effect, self.trajectory)
-                if self.run.turns or "phi" not in effect.states
+                if self.run.turns or not effect.turns()
                 else Forcing(nothing, nothing, nothing)
                 for effect in effects
             ]

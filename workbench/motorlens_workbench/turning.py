@@ -49,7 +49,7 @@ class WhileTurning:
         if angle is None:
             still = np.zeros((len(trajectory.inputs.time_s), len(self.parts)))
             return Forcing(still, still, still)
-        period = 2 * np.pi / getattr(self.parts[0], "N", 1.0)
+        period = 2 * np.pi / getattr(self.parts[0], self.parts[0].with_role("count"), 1.0)
         added = [forcing(part, trajectory) for part in self.parts]
         everywhere = Forcing(
             *(
@@ -87,7 +87,7 @@ def seen_turning(tests: Mapping[str, Test], found: Fit, runs: Sequence[Run]) -> 
     shown = {}
     for name, test in tests.items():
         parts = test.candidate.variants[test.variant]
-        if test.statistic > REAL and isinstance(parts[0], Effect) and "phi" in parts[0].states:
+        if test.statistic > REAL and isinstance(parts[0], Effect) and parts[0].turns():
             shown[name] = WhileTurning(name, tuple(part for part in parts if isinstance(part, Effect)))
     if not shown:
         return {}

@@ -22,7 +22,7 @@ class CoggingTorque(Effect):
     -0.049583
     """
 
-    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle")}
+    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle", kind="angle")}
     excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp",)
 
     A: float = param(0.0, "N*m", "amplitude", bounds=(0.0, 1e3), prior=0.02, of="torque", null=0.0)
@@ -33,8 +33,9 @@ class CoggingTorque(Effect):
         bounds=(1.0, 1000.0),
         prior=12.0,
         fixed=True,
+        role="count",
     )
-    p: float = param(0.0, "rad", "phase at phi = 0", bounds=(-3.15, 3.15), prior=1.0)
+    p: float = param(0.0, "rad", "phase at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase")
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:
         return -self.A * sin(self.N * x.phi + self.p)

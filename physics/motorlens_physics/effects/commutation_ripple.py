@@ -23,12 +23,14 @@ class CommutationRipple(Effect):
     (-0.282949, 0.010611)
     """
 
-    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle")}
+    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle", kind="angle")}
     excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp", "no_load_steps")
 
     eps: float = param(0.0, "1", "relative amplitude", bounds=(-0.5, 0.5), prior=0.05, null=0.0)
-    N: float = param(6.0, "1", "ripples a revolution", bounds=(1.0, 1000.0), prior=6.0, fixed=True)
-    p: float = param(0.0, "rad", "phase at phi = 0", bounds=(-3.15, 3.15), prior=1.0)
+    N: float = param(
+        6.0, "1", "ripples a revolution", bounds=(1.0, 1000.0), prior=6.0, fixed=True, role="count"
+    )
+    p: float = param(0.0, "rad", "phase at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase")
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
         return -m.ke * self.eps * cos(self.N * x.phi + self.p) * x.w

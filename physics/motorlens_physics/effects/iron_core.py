@@ -28,7 +28,9 @@ class IronCore(Effect):
     -0.8
     """
 
-    states: ClassVar[Mapping[str, State]] = {"theta_c": State("K", "rise of the core above ambient")}
+    states: ClassVar[Mapping[str, State]] = {
+        "theta_c": State("K", "rise of the core above ambient", kind="rise")
+    }
     excited_by: ClassVar[tuple[str, ...]] = ("heat_soak", "duty", "direct_on_line")
 
     s: float = param(

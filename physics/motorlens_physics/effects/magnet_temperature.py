@@ -25,7 +25,9 @@ class MagnetTemperature(Effect):
     0.266667
     """
 
-    states: ClassVar[Mapping[str, State]] = {"theta_m": State("K", "rise of the magnets above ambient")}
+    states: ClassVar[Mapping[str, State]] = {
+        "theta_m": State("K", "rise of the magnets above ambient", kind="rise")
+    }
     excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "duty", "heat_soak")
 
     beta: float = param(

@@ -25,7 +25,9 @@ class TwoNodeThermal(Effect):
     0.525
     """
 
-    states: ClassVar[Mapping[str, State]] = {"theta_h": State("K", "rise of the housing above ambient")}
+    states: ClassVar[Mapping[str, State]] = {
+        "theta_h": State("K", "rise of the housing above ambient", kind="rise")
+    }
     excited_by: ClassVar[tuple[str, ...]] = ("heat_soak", "duty", "direct_on_line")
 
     G_h: float = param(

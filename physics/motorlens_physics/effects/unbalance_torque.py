@@ -21,13 +21,15 @@ class UnbalanceTorque(Effect):
     -0.049875
     """
 
-    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle")}
+    states: ClassVar[Mapping[str, State]] = {"phi": State("rad", "shaft angle", kind="angle")}
     excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp",)
 
     A: float = param(
         0.0, "N*m", "weight times eccentricity", bounds=(0.0, 1e3), prior=0.02, of="torque", null=0.0
     )
-    p: float = param(0.0, "rad", "angle of the heavy side at phi = 0", bounds=(-3.15, 3.15), prior=1.0)
+    p: float = param(
+        0.0, "rad", "angle of the heavy side at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase"
+    )
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:
         return -self.A * sin(x.phi + self.p)

@@ -33,7 +33,7 @@ class Forcing:
 
 def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
     """What an effect at its present size would add along a trajectory, less what it adds at null."""
-    if "phi" in effect.states:
+    if effect.turns():
         return _of_angle(effect, trajectory)
     motor = trajectory.motor
     switch = effect.switch()
@@ -69,7 +69,7 @@ def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> For
         u: the inputs as effects read them.
         held: whether a sample holds until the next; otherwise they are joined by straight lines.
     """
-    rounds = getattr(effect, "N", 1.0)
+    rounds = getattr(effect, effect.with_role("count"), 1.0)
     advance, period_s = rounds * np.gradient(x.phi), float(np.median(np.diff(u.t)))
     lag_s = {"voltage": motor.L / motor.R_a0, "torque": motor.J / (motor.b + motor.ke**2 / motor.R_a0)}
     parts = {}
@@ -104,13 +104,14 @@ def _states(effect: Effect, trajectory: Trajectory, u: Any) -> Any:
         setattr(x, name, np.ones(rows))
         a = _array(effect.rates(trajectory.motor, x, u)[name], rows) - b
         warm = SETTLED * float(trajectory.states["theta"][0])
-        setattr(x, name, _integrate(u.t, a, b, warm if is_rise(name) else effect.states[name].initial))
+        setattr(
+            x,
+            name,
+            _integrate(
+                u.t, a, b, warm if effect.states[name].kind == "rise" else effect.states[name].initial
+            ),
+        )
     return x
-
-
-def is_rise(state: str) -> bool:
-    """Whether a state is the rise of another part that warms with the winding."""
-    return state.startswith("theta_")
 
 
 @numba.njit(cache=True, nogil=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.forcing import SETTLED, as_read, is_rise, of_angle
+from motorlens_physics.estimate.forcing import SETTLED, as_read, of_angle
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -76,7 +76,7 @@ def by_angle(model: Model, run: Run) -> tuple[Effect, ...]:
 
 def without_angle(model: Model, run: Run) -> tuple[Effect, ...]:
     """What goes with the shaft angle, in a run of which that is not known: it averages out."""
-    return () if run.turns else tuple(one for one in model.file.motor.effects if "phi" in one.states)
+    return () if run.turns else tuple(one for one in model.file.motor.effects if one.turns())
 
 
 def motor_of(model: Model, run: Run) -> Motor:
@@ -282,7 +282,7 @@ def parts_of(file: MotorFile) -> tuple[Effect | SensorModel, ...]:
 
 def with_effect(model: Model, effect: Effect) -> Model:
     """The model with an effect added; another part that warms with the winding starts nearly as warm."""
-    warm = [f"initial.{state}" for state in effect.states if is_rise(state)]
+    warm = [f"initial.{state}" for state, what in effect.states.items() if what.kind == "rise"]
     own = [{**one, **{name: SETTLED * one["initial.theta"] for name in warm}} for one in model.own]
     return replace(
         model, file=replace(model.file, motor=model.file.motor.with_effect(effect)), own=tuple(own)

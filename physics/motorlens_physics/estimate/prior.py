@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motorlens_physics.estimate.forcing import SETTLED, is_rise
+from motorlens_physics.estimate.forcing import SETTLED
 from motorlens_physics.estimate.model import Model, parts_of
 from motorlens_physics.estimate.run import FIRST, STATE_OF, Run
 from motorlens_physics.motor_file import Knowledge, MotorFile
@@ -142,10 +142,10 @@ def around(key: str, middle: float, width: float) -> Prior:
 
 def first_guess(run: Run, name: str) -> float:
     """Where a nuisance of a run starts."""
-    state = name.removeprefix("initial.")
-    if is_rise(state):
-        return SETTLED * run.start["theta"]
-    return run.start[state] if name.startswith("initial.") else 0.0
+    if not name.startswith("initial."):
+        return 0.0
+    # What is not measured warms with the winding.
+    return run.start.get(name.removeprefix("initial."), SETTLED * run.start["theta"])
 
 
 def nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
@@ -160,7 +160,7 @@ def nuisance_sd(file: MotorFile, run: Run) -> dict[str, float]:
         own["initial.theta"] = (0.5 if "current" in run.channels else 0.03) * rated.rise_K
     for effect in file.motor.effects:
         warm = _warmth_sd(file, run.start["theta"])
-        own |= {f"initial.{state}": warm for state in effect.states if is_rise(state)}
+        own |= {f"initial.{state}": warm for state, what in effect.states.items() if what.kind == "rise"}
     if "ambient" not in run.known and "temperature" in run.channels:
         own["ambient"] = AMBIENT_SD_K
     for k, channel in enumerate(run.channels):
