@@ -231,9 +231,9 @@ def with_candidate(found: Fit, evidence: Evidence, test: Test) -> tuple[Model, P
     if len(labels) == 2:
         # sin(N phi + p) = sin(N phi) cos p + cos(N phi) sin p
         amplitude, phase = float(np.hypot(*sizes)), float(np.arctan2(sizes[1], sizes[0]))
-        part = shaped(
-            parts[0], **{switch.name: switch.null + amplitude, type(parts[0]).with_role("phase"): phase}
-        )
+        effect = parts[0]
+        assert isinstance(effect, Effect)
+        part = shaped(effect, **{switch.name: switch.null + amplitude, effect.with_role("phase"): phase})
     else:
         low, high = switch.bounds
         # Not quite at null, where the shape would be undetermined.
