@@ -26,6 +26,10 @@ def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = 
         help="motor file, or the name of a shipped one: mellah2016",
     )
     parser.add_argument(
+        "--make", metavar="POPULATION.toml",
+        help="what motorlens fleet says of motors of this make: a prior for what the motor file knows less of",
+    )  # fmt: skip
+    parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME",
         help="which column holds what, or a formula over columns: 'voltage=duty_pct*vbat_V/100'; repeatable",
     )  # fmt: skip
@@ -88,16 +92,19 @@ def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) 
         DataError, ModelError, OSError: a file is not there or not usable, or a flag is not understood.
     """
     from motorlens_physics.effect import load_effects
+    from motorlens_physics.make import of_make
     from motorlens_physics.motor_file import read_motor_file, voltage_commanded
     from motorlens_physics.ranges import parse_ranges
 
     own = tuple(load_effects(arguments.effects_from).values()) if arguments.effects_from else ()
     file = file or read_motor_file(arguments.motor, own)
+    if arguments.make:
+        file = of_make(file, read_motor_file(arguments.make, own))
     if arguments.voltage_commanded:
         file = voltage_commanded(file)
     named = [name for kind in ("recordings", "fit", "judge") for name in getattr(arguments, kind, None) or ()]
     return CommandInputs(
-        file, own, tuple(arguments.column), _no_values(arguments.no_value),
+        file, own, tuple(arguments.column), no_values(arguments.no_value),
         arguments.terminal, arguments.shaft, parse_ranges(arguments.range, named),
     )  # fmt: skip
 
@@ -105,6 +112,7 @@ def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) 
 def input_words(arguments: argparse.Namespace) -> list[str]:
     """The flags as they were typed, for the line that repeats a command."""
     words = ["--motor", arguments.motor]
+    words += ["--make", arguments.make] if arguments.make else []
     words += [word for column in arguments.column for word in ("--column", column)]
     words += ["--voltage-commanded"] if arguments.voltage_commanded else []
     words += [f"--no-value={number}" for number in arguments.no_value or ()]
@@ -121,7 +129,8 @@ def print_notes(recordings: "Sequence[Recording]") -> None:
             print(f"{recording.name}: {note}")
 
 
-def _no_values(texts: Sequence[str] | None) -> tuple[float, ...] | None:
+def no_values(texts: Sequence[str] | None) -> tuple[float, ...] | None:
+    """What `--no-value` says: numbers; None if it was not given. Raises DataError: no number."""
     if texts is None:
         return None
     if list(texts) == ["none"]:

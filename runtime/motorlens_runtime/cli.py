@@ -24,7 +24,7 @@ from motorlens_runtime.errors import MotorlensError
 EXTRAS = {
     "torch": "train", "onnx": "train", "scipy": "workbench", "sympy": "workbench", "numba": "workbench",
     "matplotlib": "workbench", "tomlkit": "workbench", "paho": "publish", "pyarrow": "publish",
-    "cantools": "can", "asyncua": "opcua", "mcap": "mcap",
+    "cantools": "can", "asyncua": "opcua", "mcap": "mcap", "dask": "fleet", "distributed": "fleet",
 }  # fmt: skip
 
 

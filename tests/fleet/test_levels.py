@@ -1,0 +1,124 @@
+"""The mixed model in closed form, against the joint Gaussian of everything written down and inverted."""
+
+import numpy as np
+import pytest
+
+from motorlens_workbench.fleet.levels import Data, misfit, solve, spreads
+
+K, MOTORS, EACH = 3, 5, 3
+OMEGA, PSI, KNOWN = np.array([0.3, 0.2, 0.5]), np.array([0.1, 0.4, 0.2]), np.array([1.0, 2.0, 0.7])
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(0)
+    roots = rng.standard_normal((MOTORS * EACH, K, K))
+    vector = 3 * rng.standard_normal((MOTORS * EACH, K))
+    motor = np.repeat(np.arange(MOTORS), EACH)
+    return Data(
+        5 * roots @ np.swapaxes(roots, 1, 2), vector, motor, MOTORS, KNOWN, np.ones(MOTORS, dtype=bool)
+    )
+
+
+def joint(data):
+    """Precision and vector of (mu, b_1 ... b_M, rho_1 ... rho_R), and the constant of its density."""
+    size = K * (1 + MOTORS + MOTORS * EACH)
+    widths = np.concatenate([KNOWN, *[OMEGA] * MOTORS, *[PSI] * (MOTORS * EACH)])
+    precision, vector = np.diag(widths**-2), np.zeros(size)
+    for r, m in enumerate(data.motor):
+        design = np.zeros((K, size))
+        for start in (0, K * (1 + m), K * (1 + MOTORS + r)):
+            design[:, start : start + K] = np.eye(K)
+        precision += design.T @ data.information[r] @ design
+        vector += design.T @ data.vector[r]
+    return precision, vector, -float(np.sum(np.log(widths)))
+
+
+def test_it_is_the_joint_gaussian(data):
+    precision, vector, constant = joint(data)
+    covariance = np.linalg.inv(precision)
+    x = covariance @ vector
+    found = solve(data, OMEGA, PSI)
+    assert found.evidence == pytest.approx(
+        constant + 0.5 * vector @ x - 0.5 * np.linalg.slogdet(precision)[1], abs=1e-9
+    )
+    np.testing.assert_allclose(found.mean, x[:K], atol=1e-10)
+    np.testing.assert_allclose(found.covariance, covariance[:K, :K], atol=1e-10)
+    np.testing.assert_allclose(found.motor.ravel(), x[K : K * (1 + MOTORS)], atol=1e-10)
+    # mu + b of the second motor.
+    add = np.zeros((K, len(x)))
+    add[:, :K], add[:, 2 * K : 3 * K] = np.eye(K), np.eye(K)
+    np.testing.assert_allclose(found.motor_covariance[1], add @ covariance @ add.T, atol=1e-10)
+
+
+def test_slopes_are_those_of_the_evidence(data):
+    found, h = solve(data, OMEGA, PSI), 1e-5
+    for row in range(2):
+        for k in range(K):
+            sides = []
+            for sign in (1, -1):
+                moved = np.array([OMEGA, PSI])
+                moved[row, k] *= np.exp(sign * h)
+                sides.append(solve(data, *moved).evidence)
+            assert found.slopes[row, k] == pytest.approx((sides[0] - sides[1]) / (2 * h), abs=1e-5)
+
+
+def test_a_stranger_tells_nothing_of_the_others(data):
+    belongs = np.arange(MOTORS) != 2
+    without = Data(
+        data.information[data.motor != 2], data.vector[data.motor != 2],
+        np.repeat(np.arange(MOTORS - 1), EACH), MOTORS - 1, KNOWN, np.ones(MOTORS - 1, dtype=bool),
+    )  # fmt: skip
+    apart = solve(Data(data.information, data.vector, data.motor, MOTORS, KNOWN, belongs), OMEGA, PSI)
+    rest = solve(without, OMEGA, PSI)
+    assert apart.evidence == pytest.approx(rest.evidence)
+    np.testing.assert_allclose(apart.mean, rest.mean)
+
+
+def test_spreads_of_many_exact_motors_are_their_standard_deviations():
+    # Recordings that tell each parameter exactly: restricted likelihood is the analysis of variance.
+    rng = np.random.default_rng(1)
+    motors, each = 80, 4
+    b = 0.2 * rng.standard_normal((motors, 2)) * [1, 0]
+    rho = 0.05 * rng.standard_normal((motors, each, 2)) * [1, 0]
+    phi = (b[:, None] + rho).reshape(-1, 2)
+    precision = np.tile(np.diag([1e8, 1e4]), (len(phi), 1, 1))
+    noise = rng.standard_normal(phi.shape) / np.sqrt([1e8, 1e4])
+    data = Data(precision, np.einsum("rij,rj->ri", precision, phi + noise), np.repeat(np.arange(motors), each), motors,
+                np.ones(2), np.ones(motors, dtype=bool))  # fmt: skip
+    found = spreads(data)
+    means = phi[:, 0].reshape(motors, each)
+    within = np.sum((means - means.mean(axis=1, keepdims=True)) ** 2) / (motors * (each - 1))
+    between = np.var(means.mean(axis=1), ddof=1) - within / each
+    assert found.omega[0] == pytest.approx(np.sqrt(between), rel=0.005)
+    assert found.psi[0] == pytest.approx(np.sqrt(within), rel=0.005)
+    # sd of a standard deviation from n values: 1 / sqrt(2 (n - 1)).
+    assert found.sd[0, 0] == pytest.approx(found.omega[0] / np.sqrt(2 * (motors - 1)), rel=0.1)
+    # The other parameter does not differ; what it may differ by is of the size of what the recordings leave open.
+    assert found.omega[1] == found.psi[1] == 0
+    assert 0 < found.likely[0, 1] < 0.01
+
+
+def test_misfit_is_the_gain_of_a_free_shift(data):
+    """Against the evidence with a shift of one parameter of one motor, with its own flat level, maximised."""
+    m, k = 3, 1
+    off = misfit(data, OMEGA, PSI)
+
+    def evidence(shift):
+        rows = data.motor == m
+        vector = data.vector.copy()
+        unit = np.eye(K)[k] * shift
+        vector[rows] -= data.information[rows] @ unit
+        constant = float(
+            np.sum(
+                data.vector[rows] @ unit - 0.5 * np.einsum("i,rij,j->r", unit, data.information[rows], unit)
+            )
+        )
+        moved = Data(data.information, vector, data.motor, MOTORS, KNOWN, data.belongs)
+        return solve(moved, OMEGA, PSI).evidence + constant
+
+    grid = np.array([-1.0, 0.0, 1.0])
+    a, b, _ = np.polyfit(grid, [evidence(x) for x in grid], 2)
+    assert off.gains()[m, k] == pytest.approx(2 * (b**2 / (-4 * a)), rel=1e-6)
+    assert off.score[m, k] == pytest.approx(b, rel=1e-6)
+    assert off.information[m, k, k] == pytest.approx(-2 * a, rel=1e-6)

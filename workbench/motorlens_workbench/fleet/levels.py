@@ -1,0 +1,273 @@
+"""The linear mixed model of two levels, in closed form: recordings of a motor, motors of a make.
+
+phi_r = mu + b_m + rho_r with b_m ~ N(0, Omega), rho_r ~ N(0, Psi), both diagonal, and mu ~ N(0, S); of each recording r of
+motor m the log-likelihood of phi_r is h' phi - phi' Lambda phi / 2. All of it is Gaussian, so that levels are integrated out
+one after the other. With mu integrated out as well, spreads are estimated by restricted maximum likelihood (Patterson and
+Thompson 1971, doi:10.1093/biomet/58.3.545); the gradient to their logarithms is that of Fisher's identity.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+Array = NDArray[np.float64]
+
+# Spreads are looked for between these, in units of a parameter.
+LEAST, MOST = 1e-4, 3.0
+# Twice the logarithm of the likelihood by which a spread must be better than none: the half-half mixture of 0 and
+# chi-squared exceeds it in 1 % (Self and Liang 1987, doi:10.1080/01621459.1987.10478472).
+HELPS = 5.41
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Parabolas of recordings, centred at what was known beforehand.
+
+    Attributes:
+        information: (R, k, k) Lambda.
+        vector: (R, k) h.
+        motor: (R,) number of the motor of each recording.
+        motors: how many.
+        known: (k,) standard deviations of mu beforehand; 0 is a parameter whose mean is known to be 0.
+        belongs: (M,) whether a motor tells of mu and of the spreads; one that does not is only compared.
+    """
+
+    information: Array
+    vector: Array
+    motor: NDArray[np.intp]
+    motors: int
+    known: Array
+    belongs: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The model at given spreads.
+
+    Attributes:
+        evidence: logarithm of the restricted likelihood.
+        mean, covariance: of mu, (k,) and (k, k).
+        motor: (M, k) expected b.
+        motor_covariance: (M, k, k) of mu + b.
+        motor_information: (M, k, k) and `motor_vector` (M, k): what the recordings of each motor say of its mean.
+        recording: (R, k) expected phi.
+        slopes: (2, k) derivative of the evidence to the logarithms of the spreads, where omega is (k,).
+    """
+
+    evidence: float
+    mean: Array
+    covariance: Array
+    motor: Array
+    motor_covariance: Array
+    motor_information: Array
+    motor_vector: Array
+    recording: Array
+    slopes: Array
+
+
+def solve(data: Data, omega: Array, psi: Array) -> Solved:
+    """The model at spreads omega between motors, (k,) or (M, k), and psi between recordings, (k,): standard deviations."""
+    count = len(psi)
+    identity, belongs = np.eye(count), data.belongs
+    counted = belongs[data.motor]
+    # Recordings: rho is integrated out.
+    scaled = identity + psi[:, None] * data.information * psi
+    hidden = psi[:, None] * np.linalg.inv(scaled) * psi
+    half = np.einsum("rij,rj->ri", hidden, data.vector)
+    each = np.einsum("ri,ri->r", data.vector, half) - np.linalg.slogdet(scaled)[1]
+    evidence = 0.5 * float(np.sum(each[counted]))
+    through = data.information @ hidden
+    information = _summed(data.information - through @ data.information, data)
+    vector = _summed(data.vector - np.einsum("rij,rj->ri", through, data.vector), data)
+    # Motors: b is integrated out.
+    scaled = identity + omega[..., :, None] * information * omega[..., None, :]
+    own = omega[..., :, None] * np.linalg.inv(scaled) * omega[..., None, :]
+    each = np.einsum("mi,mij,mj->m", vector, own, vector) - np.linalg.slogdet(scaled)[1]
+    evidence += 0.5 * float(np.sum(each[belongs]))
+    reach = information @ own
+    total = np.sum((information - reach @ information)[belongs], axis=0)
+    right = np.sum((vector - np.einsum("mij,mj->mi", reach, vector))[belongs], axis=0)
+    # The make: mu is integrated out.
+    free = data.known > 0
+    covariance, mean = np.zeros((count, count)), np.zeros(count)
+    width = data.known[free]
+    inner = np.eye(len(width)) + width[:, None] * total[np.ix_(free, free)] * width
+    covariance[np.ix_(free, free)] = width[:, None] * np.linalg.inv(inner) * width
+    mean[free] = covariance[np.ix_(free, free)] @ right[free]
+    evidence += 0.5 * float(right @ mean) - 0.5 * float(np.linalg.slogdet(inner)[1])
+    # What is expected, with how far mu may be off.
+    left = identity - own @ information
+    motor = np.einsum("mij,mj->mi", own, vector - information @ mean)
+    spread = own + own @ information @ covariance @ information @ own
+    together = own + left @ covariance @ np.swapaxes(left, 1, 2)
+    beta = (mean + motor)[data.motor]
+    rho = np.einsum("rij,rj->ri", hidden, data.vector - np.einsum("rij,rj->ri", data.information, beta))
+    moved = hidden @ data.information
+    scatter = hidden + moved @ together[data.motor] @ np.swapaxes(moved, 1, 2)
+    slopes = np.zeros((2, count))
+    if omega.ndim == 1:
+        for row, sd, off, about, mine in (
+            (0, omega, motor, spread, belongs),
+            (1, psi, rho, scatter, counted),
+        ):
+            on = sd > 0
+            squares = np.sum((off**2 + np.diagonal(about, axis1=1, axis2=2))[mine], axis=0)
+            slopes[row, on] = squares[on] / sd[on] ** 2 - np.count_nonzero(mine)
+    return Solved(float(evidence), mean, covariance, motor, together, information, vector, beta + rho, slopes)
+
+
+def _summed(values: Array, data: Data) -> Array:
+    total = np.zeros((data.motors, *values.shape[1:]))
+    np.add.at(total, data.motor, values)
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """By how much each motor is off the mean of the make, in every direction.
+
+    Attributes:
+        score: (M, k) derivative of the likelihood of each motor to a shift of its own parameter.
+        information: (M, k, k) of the shift, spreads and the uncertainty of the mean taken into account.
+    """
+
+    score: Array
+    information: Array
+
+    def gains(self) -> Array:
+        """(M, k) twice the logarithm of the likelihood gained by a free shift of one parameter."""
+        information = np.diagonal(self.information, axis1=1, axis2=2)
+        told = information > 0
+        return np.asarray(np.where(told, self.score**2 / np.where(told, information, 1.0), 0.0))
+
+    def where(self, allowed: NDArray[np.bool_]) -> "Misfit":
+        """Without shifts that are not allowed, (M, k)."""
+        table = self.information * allowed[:, :, None] * allowed[:, None, :]
+        return Misfit(self.score * allowed, table)
+
+    def given(self, m: int, k: int) -> "Misfit":
+        """With a free shift of parameter k of motor m."""
+        score, information = self.score.copy(), self.information.copy()
+        column = information[m, :, k] / information[m, k, k]
+        score[m] -= column * score[m, k]
+        information[m] -= np.outer(column, information[m, k])
+        # What is left of a direction that is nearly the same is rounding.
+        gone = np.diagonal(information[m]) < 1e-9 * np.diagonal(self.information[m])
+        score[m, gone] = 0.0
+        information[m][gone, :], information[m][:, gone] = 0.0, 0.0
+        return Misfit(score, information)
+
+
+def misfit(data: Data, omega: Array, psi: Array) -> Misfit:
+    """How each motor differs from the mean, at spreads omega between motors and psi between recordings, (k,) each."""
+    solved, identity = solve(data, omega, psi), np.eye(len(psi))
+    scaled = identity + omega[:, None] * solved.motor_information * omega
+    reach = solved.motor_information @ (omega[:, None] * np.linalg.inv(scaled) * omega)
+    table = solved.motor_information - reach @ solved.motor_information
+    vector = solved.motor_vector - np.einsum("mij,mj->mi", reach, solved.motor_vector)
+    score = vector - np.einsum("mij,j->mi", table, solved.mean)
+    # A motor that belongs has drawn the mean to itself, and varies less about it; for a stranger, the mean is off besides.
+    drawn = table - table @ solved.covariance @ table
+    apart = np.linalg.inv(identity + table @ solved.covariance)
+    belongs = data.belongs
+    information = np.where(belongs[:, None, None], drawn, apart @ table)
+    return Misfit(np.where(belongs[:, None], score, np.einsum("mij,mj->mi", apart, score)), information)
+
+
+@dataclass(frozen=True, eq=False)
+class Spreads:
+    """Spreads by restricted maximum likelihood; 0 where one does not help.
+
+    Attributes:
+        omega, psi: (k,) between motors, and between recordings of one motor.
+        sd: (2, k) standard deviations of both.
+        likely: (2, k) root mean square under the likelihood and a flat prior, of those that do not help too: what is to be
+            reckoned with.
+    """
+
+    omega: Array
+    psi: Array
+    sd: Array
+    likely: Array
+
+
+def spreads(data: Data) -> Spreads:
+    """Estimate the spreads, and leave out those that do not help, the least helpful first."""
+    on = np.ones((2, len(data.known)), dtype=bool)
+    if np.count_nonzero(data.belongs) < 2:
+        on[0] = False
+    if np.all(np.bincount(data.motor) < 2):
+        on[1] = False
+    allowed = on.copy()
+    at = _likeliest(data, on, np.full(on.shape, 0.03))
+    while on.any():
+        whole = solve(data, *at).evidence
+        gains = np.full(on.shape, np.inf)
+        for row, k in np.argwhere(on):
+            without = at.copy()
+            without[row, k] = 0.0
+            gains[row, k] = 2 * (whole - solve(data, *without).evidence)
+        useless = on & (gains < HELPS)
+        if not useless.any():
+            break
+        # Several at once where they are of no use at all: removing them does not change the others.
+        weakest = useless & ((gains < 0.1) | (gains == gains[useless].min()))
+        on, at[weakest] = on & ~weakest, 0.0
+        at = _likeliest(data, on, at)
+    sd = _deviations(data, on, at)
+    likely = np.where(on, np.hypot(at, np.nan_to_num(sd)), _reckoned(data, allowed & ~on, at))
+    return Spreads(at[0], at[1], sd, likely)
+
+
+def _likeliest(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
+    if not on.any():
+        return np.zeros(at.shape)
+
+    def cost(logarithms: Array) -> tuple[float, Array]:
+        sd = np.zeros(on.shape)
+        sd[on] = np.exp(logarithms)
+        solved = solve(data, *sd)
+        return -solved.evidence, -solved.slopes[on]
+
+    begin = np.log(np.clip(at[on], 2 * LEAST, MOST / 2))
+    limits = [(np.log(LEAST), np.log(MOST))] * int(on.sum())
+    end = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
+    found = np.zeros(on.shape)
+    found[on] = np.exp(end.x)
+    return found
+
+
+def _deviations(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
+    """From the curvature of the evidence at its top; NaN where it is none."""
+    out, places, step = np.full(at.shape, np.nan), np.argwhere(on), 0.02
+    if not len(places):
+        return out
+    curvature = np.empty((len(places), len(places)))
+    for j, (row, k) in enumerate(places):
+        sides = []
+        for sign in (1, -1):
+            moved = at.copy()
+            moved[row, k] *= np.exp(sign * step)
+            sides.append(solve(data, *moved).slopes[on])
+        curvature[j] = (sides[1] - sides[0]) / (2 * step)
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    variance = np.diagonal((vectors / np.maximum(values, 1e-6)) @ vectors.T)
+    out[on] = np.sqrt(variance) * at[on]
+    return out
+
+
+def _reckoned(data: Data, off: NDArray[np.bool_], at: Array) -> Array:
+    """Root mean square of each spread that is off, given the others, over its likelihood and a flat prior."""
+    grid = np.geomspace(1e-3, 1.0, 13)
+    out = at.copy()
+    for row, k in np.argwhere(off):
+        logs = []
+        for size in grid:
+            moved = at.copy()
+            moved[row, k] = size
+            logs.append(solve(data, *moved).evidence)
+        weight = np.exp(np.array(logs) - max(logs)) * grid  # even in the logarithm, flat in the spread
+        out[row, k] = np.sqrt(np.sum(weight * grid**2) / np.sum(weight))
+    return out

@@ -1,0 +1,155 @@
+"""A fleet from its recordings to its population: what the make lacks is found on some motors, then all are fitted."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from motorlens_physics.motor_file import MotorFile
+from motorlens_runtime.errors import DataError
+from motorlens_workbench.fleet.history import Series, histories
+from motorlens_workbench.fleet.manifest import Entry
+from motorlens_workbench.fleet.population import MakeEffect, Observation, Population, population
+from motorlens_workbench.fleet.queue import Done
+from motorlens_workbench.fleet.store import Store
+from motorlens_workbench.fleet.summary import Parabola, with_candidates
+from motorlens_workbench.fleet.work import Job
+
+# How many motors are asked what the make's model lacks, and how often.
+ASKED, ADDED = 12, 4
+
+Work = Callable[[Sequence[Job]], Iterator[Done[dict[str, Any]]]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A recording and its result: the document, or in one line why there is none."""
+
+    entry: Entry
+    key: str
+    document: dict[str, Any] | None
+    failure: str
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """All that was found.
+
+    Attributes:
+        population: of the recordings that could be used.
+        outcomes: of all recordings, in the order of the entries.
+        effects: that the motor file lacked and most motors have; they are in `population.file`.
+        histories: of all motors with enough dated recordings.
+    """
+
+    population: Population
+    outcomes: tuple[Outcome, ...]
+    effects: tuple[MakeEffect, ...]
+    histories: tuple[Series, ...]
+
+    @property
+    def odd(self) -> tuple[int, ...]:
+        """Numbers of the motors that differ from the others, the oddest first."""
+        found = self.population
+        order = np.argsort(-found.oddness, kind="stable").tolist()
+        return tuple(m for m in order if found.differences[m])
+
+    @property
+    def failed(self) -> tuple[Outcome, ...]:
+        """Recordings that could not be used."""
+        return tuple(outcome for outcome in self.outcomes if outcome.failure)
+
+
+def results(
+    jobs: Sequence[tuple[Entry, Job]], store: Store, work: Work, progress: Callable[[int, int], None]
+) -> tuple[Outcome, ...]:
+    """The result of every job, from the store where it is there; what is computed is kept at once."""
+    keys: list[str] = []
+    failures: dict[int, str] = {}
+    for number, (_, job) in enumerate(jobs):
+        try:
+            keys.append(job.key())
+        except OSError as error:
+            keys.append("")
+            failures[number] = f"cannot be read: {error.strerror or error}"
+    there = {key: found for key in set(keys) if key and (found := store.read(key)) is not None}
+    todo = {key: job for key, (_, job) in zip(keys, jobs, strict=True) if key and key not in there}
+    said: dict[str, str] = {}
+    names = list(todo)
+    progress(len(there), len(there) + len(todo))
+    for done in work(list(todo.values())) if todo else ():
+        key = names[done.number]
+        if done.value is None:
+            said[key] = done.failure
+        else:
+            store.write(key, done.value)
+            there[key] = done.value
+        progress(len(there) + len(said), len(keys))
+    out = []
+    for number, ((entry, _), key) in enumerate(zip(jobs, keys, strict=True)):
+        # Read back, so that a fresh result and a kept one are the same to the last digit.
+        document = store.read(key) if key in there else None
+        failure = failures.get(number, "") or said.get(key, "") or (document or {}).get("failed", "")
+        out.append(Outcome(entry, key, None if failure else document, failure))
+    return tuple(out)
+
+
+def study(
+    entries: Sequence[Entry], template: Job, store: Store, work: Work, *, grow: bool = True,
+    say: Callable[[str], None] = lambda text: None, progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Fleet:  # fmt: skip
+    """Fit all recordings and make a population of them.
+
+    Args:
+        entries: the recordings.
+        template: how each is fitted; its path is replaced.
+        store: where results are kept.
+        work: does the jobs, see `queue`.
+        grow: whether effects that most motors have are added to the motor file.
+        say, progress: told what goes on.
+
+    Raises:
+        DataError: no recording can be used.
+    """
+    effects: list[MakeEffect] = []
+    file = template.file
+
+    def fitted(some: Sequence[Entry], what: str) -> tuple[tuple[Outcome, ...], Population]:
+        say(what)
+        outcomes = results(
+            [(e, replace(template, path=e.path, file=file)) for e in some], store, work, progress
+        )
+        return outcomes, population(file, observations(outcomes))
+
+    motors = sorted({entry.motor for entry in entries})
+    some = {motors[int(k)] for k in np.linspace(0, len(motors) - 1, min(ASKED, len(motors)))}
+    asked = [entry for entry in entries if entry.motor in some]
+    while grow and len(effects) < ADDED:
+        outcomes, found = fitted(asked, f"what {len(some)} motors have in common")
+        # What is wrong with the sensors of a test stand is said, but is no part of the make.
+        if found.lacks is None or found.lacks.of_sensor:
+            break
+        effects.append(found.lacks)
+        file = _with(file, found.lacks)
+    outcomes, found = fitted(entries, f"fitting {len(entries)} recordings of {len(motors)} motors")
+    return Fleet(found, outcomes, tuple(effects), histories(found))
+
+
+def observations(outcomes: Sequence[Outcome]) -> tuple[Observation, ...]:
+    """What the recordings say that could be used. Raises DataError: none of them."""
+    used = tuple(
+        Observation(o.entry.motor, o.entry.name, o.entry.date, Parabola.of_json(o.document["parabola"]))
+        for o in outcomes
+        if o.document is not None
+    )
+    if not used:
+        first = outcomes[0]
+        raise DataError(
+            f"none of {len(outcomes)} recordings can be used; {first.entry.name}: {first.failure}"
+        )
+    return used
+
+
+def _with(file: MotorFile, effect: MakeEffect) -> MotorFile:
+    return with_candidates(file, [effect.key.rpartition(".")[0]])
