@@ -46,7 +46,7 @@ static int16_t next_code(void)
 
 int main(void)
 {
-    double estimate[MOTORLENS_OUTPUTS] = {0}, sigma[MOTORLENS_OUTPUTS];
+    motorlens_real estimate[MOTORLENS_OUTPUTS] = {0}, sigma[MOTORLENS_OUTPUTS];
     float values[ROWS * CHANNELS];
     uint32_t count = 0;
     motorlens_start(&motor_sensor, &state, (int64_t)DRIVE_PERIOD_US * 1000);
