@@ -1,4 +1,4 @@
-"""What holds for every test: one thread a worker, numba's files of its own, no process that outlives its test, its tier.
+"""What holds for every test: one thread a worker, machine code shared by all, no process that outlives its test, its tier.
 
 Tiers, by what a test costs: no mark, up to half a second of a processor; `fit`; `blind` (see CONTRIBUTING.md). What a test
 without a mark has used is measured, and those that belong elsewhere are listed at the end of a run.
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import psutil
 import pytest
+from helpers.machine_code import share
 
 # The workers of pytest-xdist share out the cores; libraries that start a thread a core would fight over them, and sums in
 # parallel come out in another order. Set before anything imports them, and inherited by the programs that tests start.
@@ -28,11 +29,11 @@ _costly: dict[str, float] = {}
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    # Two processes that save different signatures of one function at once can leave an index that points at the wrong code
-    # (numba.core.caching.IndexDataCacheFile.save reads the index, adds to it and writes it without a lock).
     worker = os.environ.get("PYTEST_XDIST_WORKER", "alone")
     assert config.cache is not None
-    os.environ["NUMBA_CACHE_DIR"] = str(config.cache.mkdir(f"numba-{worker}"))
+    # Not in the process that only hands out tests.
+    if worker != "alone" or not config.getoption("numprocesses", None):
+        share(config.cache.mkdir("numba"), config.cache.mkdir(f"numba-{worker}"))
     if sys.platform == "linux":
         # Whoever loses its parent becomes a child of ours, so that nothing escapes `no_process_outlives_its_test`.
         ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER

@@ -1,49 +1,14 @@
 """A population from parabolas that are drawn, not fitted: every true value is known, and no recording is simulated."""
 
-from datetime import datetime, timedelta
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.drawn_fleet import BROKEN, DRAGS, KEYS, MAKE, MOTORS, SINCE, drawn
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_workbench.fleet.history import histories
-from motorlens_workbench.fleet.population import Observation, population
-from motorlens_workbench.fleet.summary import Parabola
-
-KEYS = ("R_a0", "ke", "b", "k0", "coulomb_friction.tau_c", "quadratic_drag.c")
-MAKE = np.array([3.8, 0.9, 0.0017, 4.33])
-SPREAD = np.array([0.06, 0.03, 0.15, 0.0])
-# Of one recording, relative; the last is not told at all. Then of the candidates, in their units.
-OWN = np.array([0.01, 0.002, 0.50, 50.0])
-CANDIDATES = np.array([0.02, 2e-7])
-BROKEN, DRAGS = 7, 11
-MOTORS, EACH = 60, 5
-SINCE = 3
-
-
-def drawn(rng, friction_of_all):
-    out, truth = [], np.empty((MOTORS, 4))
-    width = np.concatenate([MAKE * OWN, CANDIDATES])
-    # Viscous and Coulomb friction are alike in a recording.
-    correlation = np.eye(6)
-    correlation[2, 4] = correlation[4, 2] = -0.8
-    covariance = correlation * np.outer(width, width)
-    information, root = np.linalg.inv(covariance), np.linalg.cholesky(covariance)
-    for m in range(MOTORS):
-        truth[m] = MAKE * np.exp(SPREAD * rng.standard_normal(4))
-        if m == BROKEN:
-            truth[m, 0] *= 1.5
-        for r in range(EACH):
-            friction = friction_of_all + (0.3 if m == DRAGS and r >= SINCE else 0.0)
-            x = np.concatenate([truth[m], [friction, 0.0]])
-            top = x + root @ rng.standard_normal(6)
-            # Found where b is far from its top, as a prior would leave it; candidates at their null.
-            at = np.concatenate([np.maximum(top[:4], 0.2 * MAKE), [0.0, 0.0]])
-            at[3] = MAKE[3]
-            day = datetime(2026, 1, 1) + timedelta(days=30 * r)
-            parabola = Parabola(KEYS, at, information @ (top - at), information)
-            out.append(Observation(f"m{m:02d}", f"m{m:02d}/{r}.csv", day, parabola))
-    return out, truth
+from motorlens_workbench.fleet.population import population
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +20,11 @@ def file():
 def plain(file):
     observations, truth = drawn(np.random.default_rng(5), 0.0)
     return population(file, observations), truth
+
+
+@pytest.fixture(scope="module")
+def dragging(file):
+    return population(file, drawn(np.random.default_rng(3), 0.3)[0])
 
 
 def test_the_make_is_recovered(plain):
@@ -94,6 +64,48 @@ def test_the_odd_ones_and_what_is_odd_about_them(plain):
     assert found.lacks is None
 
 
+def test_motors_that_are_odd_in_an_effect_alone_do_not_count(file):
+    """They leave the make what it is without them: friction would pass for a spread of b."""
+    slight = (3, 25, 50)
+    every, _ = drawn(np.random.default_rng(7), 0.0, slight)
+    strangers = {f"m{m:02d}" for m in (BROKEN, DRAGS, *slight)}
+    found = population(file, every)
+    without = population(file, [o for o in every if o.motor not in strangers])
+    assert {found.motors[m] for m in np.flatnonzero(~found.belongs)} == strangers
+    np.testing.assert_allclose(found.spreads.omega, without.spreads.omega, rtol=1e-4)
+    np.testing.assert_allclose(found.solved.mean, without.solved.mean, rtol=1e-6)
+    assert found.spreads.omega[2] * found.scale.size[2] == pytest.approx(0.15 * MAKE[2], rel=0.4)
+
+
+def test_what_all_motors_have_makes_none_of_them_odd(dragging):
+    found = dragging
+    odd = {found.motors[m] for m in range(MOTORS) if found.differences[m]}
+    assert odd == {f"m{BROKEN:02d}", f"m{DRAGS:02d}"}
+
+
+def test_nothing_lies_beyond_what_is_possible(file):
+    """b, which is told within 50 %, of motors that have none: the normal distribution of it goes below 0."""
+    every, _ = drawn(np.random.default_rng(5), 0.0)
+    shift = np.array([0.0, 0.0, MAKE[2], 0.0, 0.0, 0.0])
+    moved = [
+        replace(
+            o, parabola=replace(o.parabola, gradient=o.parabola.gradient - o.parabola.information @ shift)
+        )
+        for o in every
+    ]
+    found = population(file, moved)
+    assert (
+        np.min((found.scale.centre + found.scale.size * (found.solved.mean + found.solved.motor))[:, 2]) < 0
+    )
+    values, (low, high) = found.of_motors()[0], found.interval()
+    assert np.min(low) >= 0
+    assert np.all((low <= values) & (values <= high))
+    assert np.min(found.alone()[0]) >= 0
+    assert all(
+        np.min(s.value) >= 0 and np.all((s.low <= s.value) & (s.value <= s.high)) for s in histories(found)
+    )
+
+
 def test_since_when(plain):
     found, _ = plain
     changed = {(s.motor, s.key): s.change for s in histories(found) if s.change is not None}
@@ -105,8 +117,8 @@ def test_since_when(plain):
     assert len({motor for motor, _ in changed} - {f"m{DRAGS:02d}"}) <= 3
 
 
-def test_an_effect_of_all_is_the_makes(file):
-    found = population(file, drawn(np.random.default_rng(3), 0.3)[0])
+def test_an_effect_of_all_is_the_makes(dragging):
+    found = dragging
     assert found.lacks is not None
     assert found.lacks.key == "coulomb_friction.tau_c"
     assert found.lacks.share > 0.9

@@ -30,7 +30,7 @@ PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.45
 def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A cache folder of its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(compiling, "_folder", compiling._folder.__wrapped__)
+    monkeypatch.setattr(compiling, "cache_folder", compiling.cache_folder.__wrapped__)
     monkeypatch.setattr(compiling, "_load", compiling._load.__wrapped__)
     return tmp_path / "motorlens"
 

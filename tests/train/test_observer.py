@@ -9,6 +9,7 @@ import pytest
 import sympy as sp
 from helpers.duty import MELLAH, NOISE, measured_duty
 from helpers.sensors import small_sensor
+from numba import njit
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import with_overrides
@@ -73,6 +74,11 @@ def test_equal_operations_are_recorded_once_and_constants_are_folded():
     assert program(2.0) == [9.0, 6.0, 2.0]
 
 
+@njit
+def called(function, x, y):
+    function(x, y)
+
+
 def test_compiled_and_interpreted_programs_agree_on_every_operation():
     r = Recorder()
     a, b, c = r.inputs(["a", "b", "c"])
@@ -81,8 +87,8 @@ def test_compiled_and_interpreted_programs_agree_on_every_operation():
         outputs.append(r.apply(name, *(a, b, c)[:count]))
     program = r.program(outputs)
     compiled, out = program.compiled(), np.empty(len(outputs))
-    for sample in ((0.3, 1.2, -2.0), (1.2, 0.3, 0.0), (2.0, 2.0, 5.0)):
-        compiled(np.array(sample), out)
+    for sample in ((0.3, 1.2, -2.0), (1.2, 0.3, 0.0), (2.0, 2.0, 5.0), (2.0, 1.0, np.nan)):
+        called(compiled, np.array(sample), out)
         np.testing.assert_allclose(out, [float(v) for v in program(*sample)], rtol=1e-14)
 
 

@@ -26,6 +26,7 @@ from motorlens_runtime.errors import DataError
 
 if TYPE_CHECKING:
     from motorlens_firmware_sim.bench import Bench
+    from motorlens_firmware_sim.boards import Board
     from motorlens_firmware_sim.port import PtyPort
 
 LINGER_S = 1.0
@@ -84,6 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.speedup <= 0:
         raise DataError("--speedup is above 0")
+    emulated = _emulated(arguments.board) if arguments.board else None
     bench = prepare(
         Setup(
             arguments.motor, arguments.scenario, arguments.duration, arguments.rate, arguments.rows_per_frame,
@@ -94,9 +96,9 @@ def run(arguments: argparse.Namespace) -> int:
         write_recording(bench.truth, Path(arguments.truth))
     with ExitStack() as opened:
         send = _send
-        if arguments.board:
+        if emulated:
             scratch = opened.enter_context(tempfile.TemporaryDirectory(prefix="motorlens-drive-"))
-            send = _Board(arguments.board, arguments.sensor, Path(scratch)).send
+            send = _OnBoard(emulated, arguments.sensor, Path(scratch)).send
         stop = _Stop()
         port = opened.enter_context(PtyPort(arguments.link))
         print(port.name, flush=True)
@@ -131,25 +133,30 @@ def _send(bench: "Bench", port: "PtyPort", stop: "_Stop", speedup: float) -> tup
     return sent, dropped
 
 
-class _Board:
+def _emulated(core: str) -> "Board":
+    """The board with a core. Raises DataError: an unknown core, or compiler or emulator are not here."""
+    from motorlens_firmware_sim import boards
+
+    known = {board.name: board for board in boards.BOARDS}
+    if core not in known:
+        raise DataError(f"--board {core}: choose {', '.join(known)}")
+    if missing := boards.missing_tools():
+        raise DataError(f"--board {core}: {missing}")
+    return known[core]
+
+
+class _OnBoard:
     """The firmware and the exported sensor for an emulated core, compiled in a folder that goes with it.
 
     Raises:
-        DataError: an unknown core, or compiler or emulator are not here.
         ModelError: the sensor.
     """
 
-    def __init__(self, core: str, sensor: str, scratch: Path) -> None:
-        from motorlens_firmware_sim import boards
+    def __init__(self, board: "Board", sensor: str, scratch: Path) -> None:
         from motorlens_runtime.files.shipped import sensor_path
         from motorlens_runtime.sensor.export import export_c
 
-        known = {board.name: board for board in boards.BOARDS}
-        if core not in known:
-            raise DataError(f"--board {core}: choose {', '.join(known)}")
-        if missing := boards.missing_tools():
-            raise DataError(f"--board {core}: {missing}")
-        self._board, self._exported = known[core], scratch / "c"
+        self._board, self._exported = board, scratch / "c"
         export_c(sensor_path(sensor), self._exported, True, "motor")
 
     def send(self, bench: "Bench", port: "PtyPort", stop: "_Stop", speedup: float) -> tuple[int, int]:

@@ -53,7 +53,7 @@ class Compiled:
 
 def compiled(system: System) -> Compiled:
     """The machine code of a system, from the cache if it is there."""
-    own = native(source(system), _SIGNATURES, _folder())
+    own = native(source(system), _SIGNATURES, cache_folder())
     shared = _load(shared_source(loop, "of_integrate"))
     functions = [own[name] for name in _SIGNATURES]
     if system.forcings:
@@ -190,7 +190,7 @@ def _at(system: System) -> list[str]:
 def _load(text: str) -> ModuleType:
     """Import generated source from the cache folder, writing it there first if it is new."""
     name = "motorlens_" + hashlib.sha256(text.encode()).hexdigest()[:24]
-    path = _folder() / f"{name}.py"
+    path = cache_folder() / f"{name}.py"
     if not path.exists():
         # Written aside and moved into place: another process never reads half a file.
         handle, aside = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
@@ -206,7 +206,7 @@ def _load(text: str) -> ModuleType:
 
 
 @cache
-def _folder() -> Path:
+def cache_folder() -> Path:
     """The cache folder: $XDG_CACHE_HOME/motorlens, or a temporary one where that cannot be written."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "motorlens"
     try:

@@ -18,7 +18,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -57,13 +57,16 @@ class Native(types.WrapperAddressProtocol):
         return self._signature
 
 
-def native(source: str, signatures: Mapping[str, Signature], folder: Path) -> dict[str, Native]:
+def native(
+    source: str, signatures: Mapping[str, Signature], folder: Path, flags: Sequence[str] = fastmath
+) -> dict[str, Native]:
     """Functions of a source as machine code, those with a signature.
 
     Args:
         source: functions, each using only those above it; `import`s are not needed.
         signatures: numba types of the arguments (float64, C-contiguous arrays) and of the result.
         folder: where object code is kept.
+        flags: LLVM's liberties with the rules of arithmetic; none: every operation as it is written.
 
     Raises:
         ModelError: the source uses something that is not understood.
@@ -71,13 +74,20 @@ def native(source: str, signatures: Mapping[str, Signature], folder: Path) -> di
     for function in {"pow", *re.findall(r"\bmath\.(\w+)\(", source)}:
         _announce(function)
     target = _target()
-    made_by = (llvmlite.__version__, target.triple, llvm.get_host_cpu_name(), _features(), str(signatures))
+    made_by = (
+        llvmlite.__version__,
+        target.triple,
+        llvm.get_host_cpu_name(),
+        _features(),
+        str(signatures),
+        str(flags),
+    )
     name = hashlib.sha256("\n".join((source, *made_by)).encode()).hexdigest()[:24]
     path = folder / f"motorlens_{name}.o"
     if path.exists():
         code = path.read_bytes()
     else:
-        code = target.emit_object(_optimised(_module(source, signatures, target), target))
+        code = target.emit_object(_optimised(_module(source, signatures, target, flags), target))
         # Written aside and moved into place: another process never reads half a file.
         handle, aside = tempfile.mkstemp(dir=folder, suffix=".tmp")
         with os.fdopen(handle, "wb") as file:
@@ -121,7 +131,7 @@ def _optimised(module: ir.Module, target: Any) -> Any:
     return parsed
 
 
-def _module(source: str, signatures: Mapping[str, Signature], target: Any) -> ir.Module:
+def _module(source: str, signatures: Mapping[str, Signature], target: Any, flags: Sequence[str]) -> ir.Module:
     module = ir.Module("motorlens")
     module.triple, module.data_layout = target.triple, str(target.target_data)
     functions = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
@@ -138,7 +148,7 @@ def _module(source: str, signatures: Mapping[str, Signature], target: Any) -> ir
             argument: _argument(builder, value, of)
             for argument, value, of in zip(names, function.args, signature.args, strict=True)
         }
-        result = _Writer(module, builder, functions).body(functions[name], given)
+        result = _Writer(module, builder, functions, flags).body(functions[name], given)
         if result is None:
             # What numba returns for None.
             result = context.get_dummy_value()
@@ -172,9 +182,10 @@ class _Writer:
     """Writes the statements of a function, one after another, into a block."""
 
     def __init__(
-        self, module: ir.Module, builder: ir.IRBuilder, functions: Mapping[str, ast.FunctionDef]
-    ) -> None:
-        self._module, self._builder, self._functions = module, builder, functions
+        self, module: ir.Module, builder: ir.IRBuilder, functions: Mapping[str, ast.FunctionDef],
+        flags: Sequence[str],
+    ) -> None:  # fmt: skip
+        self._module, self._builder, self._functions, self._flags = module, builder, functions, flags
 
     def body(self, function: ast.FunctionDef, values: dict[str, Any]) -> Any:
         """Write a function with its arguments bound; its result, a list if it returns a tuple."""
@@ -231,19 +242,21 @@ class _Writer:
             case ast.Subscript():
                 return builder.load(self._place(node, values))
             case ast.UnaryOp(op=ast.USub()):
-                return builder.fneg(self._value(node.operand, values), flags=fastmath)
+                return builder.fneg(self._value(node.operand, values), flags=self._flags)
             case ast.BinOp(op=ast.Pow()):
                 return self._power(self._value(node.left, values), node.right, values)
             case ast.BinOp() if type(node.op) in _OPERATORS:
                 write = getattr(builder, _OPERATORS[type(node.op)])
                 pair = self._alike(self._value(node.left, values), self._value(node.right, values))
-                return write(*pair, flags=fastmath)
+                return write(*pair, flags=self._flags)
             case ast.IfExp():
                 test, yes, no = (self._value(part, values) for part in (node.test, node.body, node.orelse))
                 return builder.select(test, yes, no)
             case ast.Compare(ops=[operator]) if type(operator) in _COMPARISONS:
                 one, other = self._value(node.left, values), self._value(node.comparators[0], values)
-                return builder.fcmp_ordered(_COMPARISONS[type(operator)], one, other)
+                # NaN is not equal to anything, and in no order with it.
+                write = builder.fcmp_unordered if isinstance(operator, ast.NotEq) else builder.fcmp_ordered
+                return write(_COMPARISONS[type(operator)], one, other)
             case ast.BoolOp():
                 write = builder.and_ if isinstance(node.op, ast.And) else builder.or_
                 tests = [self._value(part, values) for part in node.values]
@@ -308,12 +321,12 @@ class _Writer:
         builder, result, square = self._builder, None, base
         for bit in reversed(f"{abs(whole):b}"):
             if bit == "1":
-                result = square if result is None else builder.fmul(result, square, flags=fastmath)
-            square = builder.fmul(square, square, flags=fastmath)
+                result = square if result is None else builder.fmul(result, square, flags=self._flags)
+            square = builder.fmul(square, square, flags=self._flags)
         one = ir.Constant(_DOUBLE, 1.0)
         if result is None:
             return one
-        return result if whole > 0 else builder.fdiv(one, result, flags=fastmath)
+        return result if whole > 0 else builder.fdiv(one, result, flags=self._flags)
 
     def _place(self, node: ast.Subscript, values: dict[str, Any]) -> Any:
         array = values[node.value.id]  # type: ignore[attr-defined]

@@ -32,7 +32,8 @@ _NAMESPACE = "urn:motorlens"
 _UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"
 # Unit -> its UNECE common code and how people write it.
 _UNITS = {"rad/s": ("2A", "rad/s"), "K": ("KEL", "K"), "degC": ("CEL", "°C"), "ohm": ("OHM", "Ω")}
-_START_S = 30.0
+# An end to the wait for a start that does not come; on a busy machine a start takes many seconds.
+_START_S = 120.0
 
 
 def open_url(url: SplitResult, header: Header) -> "OpcUaPublisher":

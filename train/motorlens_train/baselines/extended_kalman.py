@@ -133,9 +133,9 @@ def _shortened(recordings: Sequence[Recording]) -> list[Recording]:
 
 @cache
 def _equations(motor: Motor) -> Any:
-    """The motor's rates and Jacobian as a compiled function of one type for all motors, so that the filter compiles once."""
+    """The motor's rates and Jacobian as machine code of one type for all motors, so that the filter compiles once."""
     _, program = linearised(motor)
-    return njit("void(float64[::1], float64[::1])", error_model="numpy")(program.compiled().py_func)
+    return program.compiled()
 
 
 _EQUATIONS = types.FunctionType(types.void(types.float64[::1], types.float64[::1]))

@@ -23,7 +23,7 @@ WINDOW = (
     "alive", "voltage", "current", "drag", "current_start", "time", "sum_voltage", "sum_current", "sum_square", "sum_bends",
     "sum_steps", "sum_changes", "sum_lean", "hold",
 )  # fmt: skip
-TIME = WINDOW.index("time")
+WIDTH, TIME = len(WINDOW), WINDOW.index("time")
 # Kept from window to window. `odds`: logarithm of the odds that the load is changing; `restless`: the innovations'
 # excess over
 # what was expected, an average over a hundred windows; the noise's `log_level` and `colour`, the last innovation's
@@ -97,28 +97,28 @@ class Observer:
         """Outputs (N, M) at every sample, and the state (S,) after the last; all inputs (N,)."""
         start = np.zeros(self.size) if state is None else np.array(state, dtype=np.float64)
         columns = np.column_stack([voltage_V, current_A, ambient_C, dt_s])
-        return _loop(self)(np.ascontiguousarray(columns), start)  # type: ignore[no-any-return]
+        out = np.empty((len(columns), len(self.outputs)))
+        _run(*_programs(self), self.full_s, np.ascontiguousarray(columns), start, out)
+        return out, start
 
 
 @cache
-def _loop(design: Observer) -> Any:
-    accumulate, correct, read = (p.compiled() for p in (design.accumulate, design.correct, design.read))
-    size, width, full, M = design.size, len(WINDOW), design.full_s, len(design.outputs)
+def _programs(design: Observer) -> tuple[Any, ...]:
+    return tuple(program.compiled() for program in (design.accumulate, design.correct, design.read))
 
-    @njit(error_model="numpy")  # type: ignore[untyped-decorator]
-    def run(columns: Array, state: Array) -> tuple[Array, Array]:
-        out = np.empty((len(columns), M))
-        sample, window = np.empty(4 + width), np.empty(1 + size)
-        new = np.empty(size)
-        for k in range(len(columns)):
-            sample[:4], sample[4:] = columns[k], state[:width]
-            accumulate(sample, state[:width])
-            if state[TIME] >= full:
-                window[0], window[1:] = columns[k, 2], state
-                correct(window, new)
-                state[:] = new
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _run(
+    accumulate: Any, correct: Any, read: Any, full_s: float, columns: Array, state: Array, out: Array
+) -> None:  # pragma: no cover - compiled
+    width, size = WIDTH, len(state)
+    sample, window, new = np.empty(4 + width), np.empty(1 + size), np.empty(size)
+    for k in range(len(columns)):
+        sample[:4], sample[4:] = columns[k], state[:width]
+        accumulate(sample, state[:width])
+        if state[TIME] >= full_s:
             window[0], window[1:] = columns[k, 2], state
-            read(window, out[k])
-        return out, state
-
-    return run
+            correct(window, new)
+            state[:] = new
+        window[0], window[1:] = columns[k, 2], state
+        read(window, out[k])

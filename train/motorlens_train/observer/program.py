@@ -8,9 +8,12 @@ once, and products with zero or one are not recorded at all, so matrices with fe
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from motorlens_physics.compile.native import Native
 
 # name -> (number of arguments, what it does to float64 arrays). `le` is 1 or 0; `select` is its second argument where the
 # first is not 0. A runtime that meets another name must refuse the file.
@@ -99,17 +102,22 @@ class Program:
             return number(self.constants[constant])
         return f"{register}{self.outputs[k]}"
 
-    def compiled(self) -> Any:
-        """A numba function `(inputs (n,), outputs (m,)) -> None` that fills the second array."""
-        from numba import njit
+    def compiled(self) -> "Native":
+        """Machine code `(inputs (n,), outputs (m,)) -> None` that fills the second array, for numba's functions to call.
+
+        Each operation is rounded as it is written, so that every implementation comes to the same numbers.
+        """
+        from numba import types
+
+        from motorlens_physics.compile import cache_folder
+        from motorlens_physics.compile.native import native
 
         lines = [f"r{k} = x[{k}]" for k in range(len(self.inputs))]
         lines += self.lines(_PYTHON, "r", _python_number)
         lines += [f"y[{k}] = {self.result(k, 'r', _python_number)}" for k in range(len(self.outputs))]
         source = "def run(x, y):\n" + "\n".join("    " + line for line in lines or ["pass"])
-        scope: dict[str, Any] = {"math": math}
-        exec(source, scope)
-        return njit(error_model="numpy")(scope["run"])
+        vector = types.float64[::1]
+        return native(source, {"run": types.void(vector, vector)}, cache_folder(), flags=())["run"]
 
 
 def _python_number(value: float) -> str:

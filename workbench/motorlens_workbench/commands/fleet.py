@@ -122,7 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
         ["motorlens", "fleet", arguments.folder, "--motor", arguments.motor, "-o", arguments.output]
     )
     document = to_json(fleet, arguments.motor)
-    write_atomically(out / "population.toml", to_toml(fleet.population.new_motor()).encode())
+    write_atomically(out / "population.toml", to_toml(fleet.make).encode())
     write_json(document, str(out / "fleet.json"))
     write_atomically(out / "index.html", "".join(to_html(fleet, arguments.motor, words)).encode())
     write_json(document, arguments.json)

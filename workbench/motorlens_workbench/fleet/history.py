@@ -7,7 +7,7 @@ the date of a step and the sizes integrated out (sizes by a unit-information pri
 doi:10.1080/01621459.1995.10476592).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from motorlens_workbench.fleet.levels import solve
-from motorlens_workbench.fleet.population import Population, extended
+from motorlens_workbench.fleet.population import Population
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def _fitted(x: Array, y: Array, sd: Array, wander: float | None) -> _Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A parameter of one motor, by recording: dates, values, deviations, and its change if one is real."""
+    """A parameter of one motor, by recording: dates, values, deviations, 95 % intervals, and its change if one is real."""
 
     motor: str
     key: str
@@ -122,6 +122,8 @@ class Series:
     dates: tuple[datetime, ...]
     value: Array
     sd: Array
+    low: Array
+    high: Array
     change: Change | None
 
 
@@ -130,14 +132,14 @@ def histories(found: Population) -> tuple[Series, ...]:
 
     In the series of one parameter the others are what all recordings of the motor say.
     """
-    wide = extended(found)
-    count, belonging = len(found.keys), len(wide.keys) - len(found.keys)
-    omega = np.concatenate([np.maximum(found.between, found.known), np.zeros(belonging)])
-    solved = solve(wide.data, omega, wide.psi)
-    enough = np.count_nonzero(wide.data.belongs[wide.data.motor]) - wide.data.motors >= POOLED
+    wide = found.wide
+    data, psi = wide.data(found.data, 0.0), wide.padded(found.spreads.psi)
+    count = wide.free
+    solved = solve(data, wide.padded(np.maximum(found.between, found.known)), psi)
+    enough = np.count_nonzero(data.belongs[data.motor]) - data.motors >= POOLED
     out = []
     for m, motor in enumerate(found.motors):
-        rows = [r for r in np.flatnonzero(wide.data.motor == m) if found.observations[r].date is not None]
+        rows = [r for r in np.flatnonzero(data.motor == m) if found.observations[r].date is not None]
         rows.sort(key=lambda r: found.observations[r].date or datetime.min)
         if len(rows) < FEWEST:
             continue
@@ -161,27 +163,28 @@ def histories(found: Population) -> tuple[Series, ...]:
             known[place] = 0.0
             told, values, sds = True, [], []
             for r in rows:
-                table = wide.data.information[r][np.ix_(of, of)]
+                table = wide.information[r][np.ix_(of, of)]
                 total = table + np.diag(known)
                 total[place, place] += 1e-12 + 1e-9 * table[place, place]
                 covariance = np.linalg.inv(total)
-                values.append(float(at[place] + (covariance @ (wide.data.vector[r][of] - table @ at))[place]))
+                values.append(float(at[place] + (covariance @ (wide.vector[r][of] - table @ at))[place]))
                 sds.append(float(np.sqrt(covariance[place, place])))
                 told &= sds[-1] < (found.known[k] if k < count else 30.0)
             if not told:
                 continue
             phi, sd = np.array(values), np.array(sds)
-            pooled = float(wide.psi[k]) if enough else None
+            pooled = float(psi[k]) if enough else None
             seen = change(days, phi, sd, pooled)
             size = float(wide.scale.size[k])
-            natural = wide.scale.centre[k] + size * phi
+            # Nothing is shown beyond what is possible; a change is that of the plain series.
+            value, low, high = (
+                np.clip(wide.scale.centre[k] + size * x, *wide.scale.bounds[:, k])
+                for x in (phi, phi - 1.96 * sd, phi + 1.96 * sd)
+            )
             if seen is not None:
                 seen = Change(seen.kind, seen.at, seen.size * size, seen.sd * size, seen.p, seen.probability)
-            mine.append(
-                Series(
-                    motor, wide.keys[k], wide.file.meaning(wide.keys[k]).unit, dates, natural, sd * size, seen
-                )
-            )
+            unit = wide.file.meaning(wide.keys[k]).unit
+            mine.append(Series(motor, wide.keys[k], unit, dates, value, sd * size, low, high, seen))
         # All parameters of a motor are looked at.
         out += [_believed(series, len(mine)) for series in mine]
     return tuple(out)
@@ -190,6 +193,4 @@ def histories(found: Population) -> tuple[Series, ...]:
 def _believed(series: Series, tested: int) -> Series:
     seen = series.change
     real = seen is not None and seen.p * tested < FALSE_CHANGES
-    return series if real else Series(
-        series.motor, series.key, series.unit, series.dates, series.value, series.sd, None
-    )  # fmt: skip
+    return series if real else replace(series, change=None)

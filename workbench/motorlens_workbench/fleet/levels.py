@@ -131,37 +131,52 @@ class Misfit:
     Attributes:
         score: (M, k) derivative of the likelihood of each motor to a shift of its own parameter.
         information: (M, k, k) of the shift, spreads and the uncertainty of the mean taken into account.
+        limits: (2, k) least and greatest shift that is possible, at most and at least 0.
     """
 
     score: Array
     information: Array
+    limits: Array
 
-    def gains(self) -> Array:
-        """(M, k) twice the logarithm of the likelihood gained by a free shift of one parameter."""
+    def shifts(self) -> Array:
+        """(M, k) the likeliest shift of one parameter alone."""
         information = np.diagonal(self.information, axis1=1, axis2=2)
         told = information > 0
-        return np.asarray(np.where(told, self.score**2 / np.where(told, information, 1.0), 0.0))
+        return np.asarray(
+            np.clip(np.where(told, self.score / np.where(told, information, 1.0), 0.0), *self.limits)
+        )
+
+    def gains(self) -> Array:
+        """(M, k) twice the logarithm of the likelihood gained by that shift."""
+        shift, information = self.shifts(), np.diagonal(self.information, axis1=1, axis2=2)
+        return np.asarray(shift * (2 * self.score - information * shift))
 
     def where(self, allowed: NDArray[np.bool_]) -> "Misfit":
         """Without shifts that are not allowed, (M, k)."""
         table = self.information * allowed[:, :, None] * allowed[:, None, :]
-        return Misfit(self.score * allowed, table)
+        return Misfit(self.score * allowed, table, self.limits)
 
     def given(self, m: int, k: int) -> "Misfit":
-        """With a free shift of parameter k of motor m."""
+        """With the likeliest shift of parameter k of motor m."""
         score, information = self.score.copy(), self.information.copy()
         column = information[m, :, k] / information[m, k, k]
-        score[m] -= column * score[m, k]
+        score[m] -= information[m, :, k] * self.shifts()[m, k]
         information[m] -= np.outer(column, information[m, k])
         # What is left of a direction that is nearly the same is rounding.
         gone = np.diagonal(information[m]) < 1e-9 * np.diagonal(self.information[m])
         score[m, gone] = 0.0
         information[m][gone, :], information[m][:, gone] = 0.0, 0.0
-        return Misfit(score, information)
+        return Misfit(score, information, self.limits)
 
 
-def misfit(data: Data, omega: Array, psi: Array) -> Misfit:
-    """How each motor differs from the mean, at spreads omega between motors and psi between recordings, (k,) each."""
+def misfit(data: Data, omega: Array, psi: Array, bounds: Array | None = None) -> Misfit:
+    """How each motor differs from the mean.
+
+    Args:
+        data: of the recordings.
+        omega, psi: (k,) spreads between motors, and between recordings.
+        bounds: (2, k) between which the parameters of a motor are; None is anywhere.
+    """
     solved, identity = solve(data, omega, psi), np.eye(len(psi))
     scaled = identity + omega[:, None] * solved.motor_information * omega
     reach = solved.motor_information @ (omega[:, None] * np.linalg.inv(scaled) * omega)
@@ -173,7 +188,10 @@ def misfit(data: Data, omega: Array, psi: Array) -> Misfit:
     apart = np.linalg.inv(identity + table @ solved.covariance)
     belongs = data.belongs
     information = np.where(belongs[:, None, None], drawn, apart @ table)
-    return Misfit(np.where(belongs[:, None], score, np.einsum("mij,mj->mi", apart, score)), information)
+    score = np.where(belongs[:, None], score, np.einsum("mij,mj->mi", apart, score))
+    within = np.array([[-np.inf], [np.inf]]) if bounds is None else bounds - solved.mean
+    limits = np.stack([np.minimum(within[0], 0.0), np.maximum(within[1], 0.0)])
+    return Misfit(score, information, np.broadcast_to(limits, (2, len(psi))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,16 +8,18 @@ import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_runtime.errors import DataError
+from motorlens_workbench.fleet.directions import Observation
 from motorlens_workbench.fleet.history import Series, histories
 from motorlens_workbench.fleet.manifest import Entry
-from motorlens_workbench.fleet.population import MakeEffect, Observation, Population, population
+from motorlens_workbench.fleet.odd import MakeEffect
+from motorlens_workbench.fleet.population import Population, needed, population
 from motorlens_workbench.fleet.queue import Done
 from motorlens_workbench.fleet.store import Store
 from motorlens_workbench.fleet.summary import Parabola, with_candidates
 from motorlens_workbench.fleet.work import Job
 
 # How many motors are asked what the make's model lacks, and how often.
-ASKED, ADDED = 12, 4
+ASKED, ADDED = 12, 6
 
 Work = Callable[[Sequence[Job]], Iterator[Done[dict[str, Any]]]]
 
@@ -40,13 +42,23 @@ class Fleet:
         population: of the recordings that could be used.
         outcomes: of all recordings, in the order of the entries.
         effects: that the motor file lacked and most motors have; they are in `population.file`.
+        faults: of the sensors with which all were recorded; likewise, but no part of the make.
         histories: of all motors with enough dated recordings.
     """
 
     population: Population
     outcomes: tuple[Outcome, ...]
     effects: tuple[MakeEffect, ...]
+    faults: tuple[MakeEffect, ...]
     histories: tuple[Series, ...]
+
+    @property
+    def make(self) -> MotorFile:
+        """The motor file of the make: what may be expected of a motor that was not recorded yet, and not of its sensors."""
+        file, names = self.population.new_motor(), {fault.name for fault in self.faults}
+        known = {key: what for key, what in file.knowledge.items() if key.rpartition(".")[0] not in names}
+        sensors = tuple(sensor for sensor in file.sensors if sensor.name() not in names)
+        return replace(file, sensors=sensors, knowledge=known)
 
     @property
     def odd(self) -> tuple[int, ...]:
@@ -112,11 +124,12 @@ def study(
     Raises:
         DataError: no recording can be used.
     """
-    effects: list[MakeEffect] = []
-    file = template.file
+    added: list[MakeEffect] = []
+    dropped: set[str] = set()
 
     def fitted(some: Sequence[Entry], what: str) -> tuple[tuple[Outcome, ...], Population]:
         say(what)
+        file = with_candidates(template.file, [one.name for one in added])
         outcomes = results(
             [(e, replace(template, path=e.path, file=file)) for e in some], store, work, progress
         )
@@ -125,15 +138,21 @@ def study(
     motors = sorted({entry.motor for entry in entries})
     some = {motors[int(k)] for k in np.linspace(0, len(motors) - 1, min(ASKED, len(motors)))}
     asked = [entry for entry in entries if entry.motor in some]
-    while grow and len(effects) < ADDED:
-        outcomes, found = fitted(asked, f"what {len(some)} motors have in common")
-        # What is wrong with the sensors of a test stand is said, but is no part of the make.
-        if found.lacks is None or found.lacks.of_sensor:
+    for _ in range(ADDED if grow else 0):
+        _, found = fitted(asked, f"what {len(some)} motors have in common")
+        # A name may have stood for another one that was not there yet, and is at its null beside it.
+        if needless := [one for one in added if not needed(found, one)]:
+            dropped |= {one.key for one in needless}
+            added = [one for one in added if one not in needless]
+        elif found.lacks is None or found.lacks.key in dropped:
             break
-        effects.append(found.lacks)
-        file = _with(file, found.lacks)
+        else:
+            added.append(found.lacks)
     outcomes, found = fitted(entries, f"fitting {len(entries)} recordings of {len(motors)} motors")
-    return Fleet(found, outcomes, tuple(effects), histories(found))
+    return Fleet(
+        found, outcomes, tuple(one for one in added if not one.of_sensor),
+        tuple(one for one in added if one.of_sensor), histories(found),
+    )  # fmt: skip
 
 
 def observations(outcomes: Sequence[Outcome]) -> tuple[Observation, ...]:
@@ -149,7 +168,3 @@ def observations(outcomes: Sequence[Outcome]) -> tuple[Observation, ...]:
             f"none of {len(outcomes)} recordings can be used; {first.entry.name}: {first.failure}"
         )
     return used
-
-
-def _with(file: MotorFile, effect: MakeEffect) -> MotorFile:
-    return with_candidates(file, [effect.key.rpartition(".")[0]])

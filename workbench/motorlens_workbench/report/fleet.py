@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import norm
 
 from motorlens_workbench.fleet.history import Series
-from motorlens_workbench.fleet.population import Difference, MakeEffect
+from motorlens_workbench.fleet.odd import Difference, MakeEffect
 from motorlens_workbench.fleet.study import Fleet
 from motorlens_workbench.report.page import Section, page, significant, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Plot, Table, curves
@@ -30,11 +30,7 @@ def verdict(fleet: Fleet) -> str:
 
 def to_text(fleet: Fleet) -> list[str]:
     """Lines for the terminal."""
-    lines = [verdict(fleet), *(make_sentence(fleet, effect) for effect in fleet.effects)]
-    if fleet.population.lacks is not None:
-        lines.append(
-            "Most motors also show " + _names(fleet.population.lacks.key, fleet.population.lacks.alike) + "."
-        )
+    lines = [verdict(fleet), *_in_common(fleet)]
     lines += [
         f"{fleet.population.motors[m]}: {sentence}" for m in fleet.odd for sentence in differences(fleet, m)
     ]
@@ -76,6 +72,7 @@ def to_json(fleet: Fleet, motor: str) -> dict[str, Any]:
         "schema": "motorlens.fleet/1",
         "motor": motor,
         "effects_of_the_make": [_effect_json(effect) for effect in fleet.effects],
+        "sensor_faults_of_all": [_effect_json(fault) for fault in fleet.faults],
         "lacks": _effect_json(found.lacks) if found.lacks else None,
         "population": {
             key: {
@@ -125,9 +122,7 @@ def to_json(fleet: Fleet, motor: str) -> dict[str, Any]:
 def to_html(fleet: Fleet, motor: str, command: str) -> Iterator[str]:
     """The page."""
     found = fleet.population
-    summary = [make_sentence(fleet, effect) for effect in fleet.effects]
-    if found.lacks is not None:
-        summary.append("Most motors also show " + _names(found.lacks.key, found.lacks.alike) + ".")
+    summary = _in_common(fleet)
     summary.append(
         f"Fitted from {motor}. A motor is odd if chance would make one so different in one of a hundred fleets, all "
         "motors and parameters counted; odd motors take no part in the population."
@@ -150,14 +145,22 @@ def to_html(fleet: Fleet, motor: str, command: str) -> Iterator[str]:
 
 
 def make_sentence(fleet: Fleet, effect: MakeEffect) -> str:
-    """What all motors have that the motor file lacked."""
+    """What all motors, or the sensors with which they were recorded, have that the motor file lacked."""
     found = fleet.population
     k = found.keys.index(effect.key)
     value, sd = found.mean()[0][k], found.mean()[1][k]
     unit = unit_text(found.file.meaning(effect.key).unit)
     size = f"{significant(float(value))} +- {sd:.2g} {unit}".rstrip()
     helped = f"it helps {100 * effect.share:.0f} % of the motors asked"
-    return f"The make has {_names(effect.key, effect.alike)}: {size}; {helped}."
+    whose = "All were recorded with" if effect.of_sensor else "The make has"
+    return f"{whose} {_names(effect.key, effect.alike)}: {size}; {helped}."
+
+
+def _in_common(fleet: Fleet) -> list[str]:
+    """What all have in common, a sentence each."""
+    lacks = fleet.population.lacks
+    more = [] if lacks is None else [f"Most motors also show {_names(lacks.key, lacks.alike)}."]
+    return [*(make_sentence(fleet, one) for one in (*fleet.effects, *fleet.faults)), *more]
 
 
 def differences(fleet: Fleet, m: int) -> list[str]:
@@ -231,7 +234,8 @@ def _make_content(fleet: Fleet) -> list[str | Table | Bars | Any | Plot]:
         if found.spreads.omega[k] == 0 or len(found.motors) < 3:
             continue
         width = float(np.hypot(found.spreads.omega[k], 1e-9))
-        span = np.linspace(-3.5, 3.5, _POINTS)
+        least, most = (found.scale.limits()[:, k] - middle[k]) / width
+        span = np.linspace(max(-3.5, least), min(3.5, most), _POINTS)
         at = found.scale.centre[k] + found.scale.size[k] * (middle[k] + width * span)
         motors = np.searchsorted(np.sort(values[:, k]), at, side="right") / len(values)
         unit = unit_text(found.file.meaning(key).unit)
@@ -254,7 +258,7 @@ def _change_content(fleet: Fleet) -> list[str | Table | Bars | Any | Plot]:
         content.append(curves(
             f"days since {series.dates[0]:%Y-%m-%d}", f"{series.key}, {unit}" if unit else series.key, days,
             {series.motor: ("measured", series.value)},
-            band=(series.value - 1.96 * series.sd, series.value + 1.96 * series.sd),
+            band=(series.low, series.high),
             caption=change_sentence(series) + ". The band is the 95 % interval of each recording.",
         ))  # fmt: skip
     return content
@@ -344,13 +348,7 @@ def _names(key: str, alike: tuple[str, ...]) -> str:
 
 
 def _unit(fleet: Fleet, one: Difference) -> str:
-    from motorlens_workbench.fleet.summary import with_candidates
-
-    owner = one.key.rpartition(".")[0]
-    file = fleet.population.file
-    if owner and one.key not in file.values():
-        file = with_candidates(file, [owner])
-    return file.meaning(one.key).unit
+    return fleet.population.wide.file.meaning(one.key).unit
 
 
 def _difference_json(fleet: Fleet, one: Difference) -> dict[str, Any]:
