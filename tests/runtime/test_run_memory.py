@@ -125,9 +125,10 @@ def test_the_state_is_kept_every_ten_seconds_without_waiting_for_the_disk(here, 
     sensor = load_sensor("s.onnx")
     estimator = Estimator(sensor, 0.001)
     estimator.push(Samples(np.arange(100) * 1_000_000, np.full(100, 100.0), np.full(100, 5.0)))
-    kept, released = [], []
+    begun, kept, released = [], [], []
 
     def slow(path, taken):
+        begun.append(taken)
         eventually(lambda: released, "the disk answers")
         kept.append(taken.wall_time_ns)
 
@@ -137,6 +138,8 @@ def test_the_state_is_kept_every_ten_seconds_without_waiting_for_the_disk(here, 
     for second in range(61):
         wall[0] = second
         memory.keep(estimator, "", second * 10**9)
+        if second == 10:
+            eventually(lambda: begun, "the first is being written")
     assert kept == []  # the disk has not answered, and nobody waited for it
     released.append(True)
     memory.close(estimator.state, "")

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.publish import Publisher
+from motorlens_runtime.worker import Worker
 
 T = TypeVar("T")
 _AHEAD = 1
@@ -59,36 +60,26 @@ class Behind:
 
     def __init__(self, publisher: Publisher) -> None:
         self._publisher = publisher
-        self._queue: queue.Queue[Estimates | None] = queue.Queue(_AHEAD)
-        self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._work, name="writer", daemon=True)
-        self._thread.start()
+        self._raised = False
+        self._worker: Worker[Estimates] = Worker(
+            "writer", publisher.publish, _AHEAD, waits=True, ends=(Exception,)
+        )
 
     def publish(self, estimates: Estimates) -> None:
         """Hand over rows; waits where the writer is slower."""
         self._raise()
-        self._queue.put(estimates)
+        self._worker.put(estimates)
 
     def flush(self) -> None:
         """Nothing: all is written by `close`."""
 
     def close(self) -> None:
         """Write what waits, and finish."""
-        self._queue.put(None)
-        self._thread.join()
+        self._worker.close()
         self._publisher.close()
         self._raise()
 
-    def _work(self) -> None:
-        failed = False  # `_error` cannot tell: it is taken out where it is raised
-        while (estimates := self._queue.get()) is not None:
-            if not failed:
-                try:
-                    self._publisher.publish(estimates)
-                except Exception as error:  # raised again where rows are handed over
-                    self._error, failed = error, True
-
     def _raise(self) -> None:
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
+        if self._worker.error is not None and not self._raised:
+            self._raised = True
+            raise self._worker.error

@@ -1,10 +1,9 @@
 """The memory of heat of a running service: recalled at the first sample, kept every few seconds, kept once more at the end.
 
-The hot loop only takes the snapshot; writing it, which waits for the disk, is done by a thread. One that is still at it when
-the next is due skips that one.
+The hot loop only takes the snapshot; writing it, which waits for the disk, is done by a worker. Where the disk is slow, the
+newest snapshot waits and those before it are skipped.
 """
 
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +13,10 @@ from motorlens_runtime.estimate.estimator import Estimator, EstimatorState
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.sensor.sensor import Sensor
 from motorlens_runtime.service import snapshot
+from motorlens_runtime.worker import Worker
 
 _EVERY_NS = 10_000_000_000
+_PATIENCE_S = 10.0
 
 
 class Memory:
@@ -37,9 +38,9 @@ class Memory:
         self._restored = False
         self._restored_until_ns: int | None = None
         self._next_ns: int | None = None
-        self._saved = self._failed = 0
         self._message: str | None = None
-        self._thread: threading.Thread | None = None
+        # Where the disk is slow, the newest state waits for it.
+        self._worker: Worker[snapshot.Snapshot] = Worker("memory", self._save, 1)
 
     def recall(self, device: str) -> EstimatorState | None:
         """The state to go on from, None for a cold start; `report` says why."""
@@ -66,19 +67,16 @@ class Memory:
         """Keep its state when it is due; returns at once."""
         if self._next_ns is None:
             self._next_ns = now_ns + _EVERY_NS
-        if now_ns < self._next_ns or (self._thread is not None and self._thread.is_alive()):
+        if now_ns < self._next_ns:
             return
         self._next_ns = now_ns + _EVERY_NS
-        taken = snapshot.take(self._sensor, device, estimator.state, self._wall_clock())
-        self._thread = threading.Thread(target=self._save, args=(taken,), name="memory", daemon=True)
-        self._thread.start()
+        self._worker.put(snapshot.take(self._sensor, device, estimator.state, self._wall_clock()))
 
     def close(self, state: EstimatorState | None, device: str) -> None:
-        """Keep the last state, if there was one."""
-        if self._thread is not None:
-            self._thread.join(5.0)
+        """Keep the last state, if there was one; a disk that does not answer is not waited for longer than some seconds."""
         if state is not None:
-            self._save(snapshot.take(self._sensor, device, state, self._wall_clock()))
+            self._worker.put(snapshot.take(self._sensor, device, state, self._wall_clock()))
+        self._worker.close(_PATIENCE_S)
 
     def follow(self, sensor: Sensor) -> None:
         """Keep the state of another sensor from now on."""
@@ -89,15 +87,13 @@ class Memory:
         return {
             "restored": self._restored,
             "message": self._message,
-            "saved": self._saved,
-            "failed": self._failed,
+            "saved": self._worker.done,
+            "failed": self._worker.errors,
         }
 
     def _save(self, taken: snapshot.Snapshot) -> None:
         try:
             snapshot.save(self._path, taken)
         except OSError as error:
-            self._failed += 1
             self._message = f"{self._path}: {error.strerror}; heat is not remembered"
-        else:
-            self._saved += 1
+            raise

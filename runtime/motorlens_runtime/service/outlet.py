@@ -4,11 +4,8 @@ What does not fit is dropped, oldest first, and counted. An error of the publish
 the next rows.
 """
 
-import threading
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
@@ -18,6 +15,7 @@ from numpy.typing import NDArray
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.publish import Header, open_publisher
+from motorlens_runtime.worker import Worker
 
 Event = dict[str, Any]
 
@@ -79,20 +77,20 @@ class Outlet:
         self._grid = Grid(_rate(url, options.get("rate", "0")))
         self._reduce = _reducer(url, options.get("decimate", "last"), options.get("rate"))
         self._publisher = open_publisher(url, header)
-        self._queue: deque[Estimates | Event] = deque()
         self._tell: Callable[[Event], None] | None = getattr(self._publisher, "event", None)
         self._tell_counts: Callable[[Event], None] | None = getattr(self._publisher, "counts", None)
         self._counts: Event | None = None
-        self._rows_waiting = 0
-        self._wake = threading.Condition()
-        self._closing = threading.Event()
+        self._given_up: str | None = None
         self._takes_inputs = bool(getattr(self._publisher, "takes_inputs", False))
-        self._gather_s = float(getattr(self._publisher, "gather_s", 0.0))
-        self._published = self._dropped = self._errors = 0
-        self._last_error: str | None = None
-        self.dead = False
-        self._thread = threading.Thread(target=self._work, name=url, daemon=True)
-        self._thread.start()
+        self._worker: Worker[Estimates | Event] = Worker(
+            url, self._publish, _MAX_ROWS, weight=_rows, ends=(BrokenPipeError,), settle=self._settle, every_s=_FLUSH_S,
+            gather_s=float(getattr(self._publisher, "gather_s", 0.0)), finish=self._publisher.close,
+        )  # fmt: skip
+
+    @property
+    def dead(self) -> bool:
+        """Whether the reader has gone for good."""
+        return self._worker.dead
 
     def put(self, estimates: Estimates, inputs: NDArray[np.float64] | None = None) -> None:
         """Hand over rows; returns at once.
@@ -104,98 +102,48 @@ class Outlet:
         if self._takes_inputs:
             estimates = _widened(estimates, inputs)
         estimates = self._reduce(self._grid, estimates)
-        if not len(estimates) or self.dead:
-            return
-        self._put(estimates)
+        if len(estimates) and not self.dead:
+            self._worker.put(estimates)
 
     def put_event(self, event: Event) -> None:
         """Hand over an event, to a publisher that has a word for it; returns at once."""
         if self._tell is not None and not self.dead:
-            self._put(event)
+            self._worker.put(event)
 
     def put_counts(self, counts: Event) -> None:
         """Hand over what the service counts, see `Service.counts`, to a publisher that shows it; only the newest waits."""
         if self._tell_counts is not None and not self.dead:
-            with self._wake:
-                self._counts = counts
-                self._wake.notify()
+            self._counts = counts
+            self._worker.nudge()
 
     def close(self, patience_s: float = 2.0) -> None:
         """Publish what waits, for `patience_s` at most, and finish."""
-        self._closing.set()
-        with self._wake:
-            self._wake.notify()
-        self._thread.join(patience_s)
-        if self._thread.is_alive():
-            with self._wake:
-                self._dropped += self._rows_waiting
-                self._last_error = f"did not take its last {self._rows_waiting} rows within {patience_s:g} s"
+        if rows := self._worker.close(patience_s):
+            self._given_up = f"did not take its last {rows} rows within {patience_s:g} s"
 
     def report(self) -> OutletReport:
         """See `OutletReport`."""
+        worker = self._worker
         # Some publishers cannot send at once what they are given, and count that themselves.
-        dropped = self._dropped + int(getattr(self._publisher, "dropped", 0))
-        return OutletReport(self._url, self._published, dropped, self._errors, self._last_error)
+        lost = worker.lost + int(getattr(self._publisher, "dropped", 0))
+        last = self._given_up or (None if worker.error is None else _told(worker.error))
+        return OutletReport(self._url, worker.done, lost, worker.errors, last)
 
-    def _put(self, item: Estimates | Event) -> None:
-        with self._wake:
-            self._queue.append(item)
-            self._rows_waiting += _rows(item)
-            while self._rows_waiting > _MAX_ROWS and len(self._queue) > 1:
-                lost = _rows(self._queue.popleft())
-                self._rows_waiting -= lost
-                self._dropped += lost
-            self._wake.notify()
+    def _publish(self, item: Estimates | Event) -> None:
+        if isinstance(item, Estimates):
+            self._publisher.publish(item)
+        elif self._tell is not None:
+            self._tell(item)
 
-    def _work(self) -> None:
-        while True:
-            with self._wake:
-                while not self._queue and not self._closing.is_set() and self._counts is None:
-                    if not self._wake.wait(_FLUSH_S):
-                        break
-                batch, self._queue = list(self._queue), deque()
-                self._rows_waiting = 0
-                counts, self._counts = self._counts, None
-                finish = self._closing.is_set()
-            for item in batch:
-                if isinstance(item, Estimates):
-                    self._attempt(self._publisher.publish, item)
-                elif self._tell is not None:
-                    self._attempt(self._tell, item)
-            if counts is not None and self._tell_counts is not None:
-                self._attempt(partial(self._tell_counts, counts))
-            self._attempt(self._publisher.flush)
-            if finish and not self._queue:
-                self._finish()
-                return
-            if self._gather_s:
-                self._closing.wait(
-                    self._gather_s
-                )  # nobody waits for `_wake` meanwhile, so that no row wakes this thread
+    def _settle(self) -> None:
+        counts, self._counts = self._counts, None
+        if counts is not None and self._tell_counts is not None:
+            self._tell_counts(counts)
+        self._publisher.flush()
 
-    def _attempt(self, action: Callable[..., None], *arguments: Estimates | Event) -> None:
-        if self.dead:
-            return
-        try:
-            action(*arguments)
-            self._published += sum(map(_rows, arguments))
-        except BrokenPipeError as error:
-            self.dead = True  # the reader has gone for good
-            self._note(error, arguments)
-        except Exception as error:  # whatever a publisher's library raises must not end the service
-            self._note(error, arguments)
 
-    def _finish(self) -> None:
-        try:
-            self._publisher.close()
-        except Exception as error:  # that a reader has gone was noted when it went
-            if not self.dead:
-                self._note(error, ())
-
-    def _note(self, error: Exception, arguments: tuple[Estimates | Event, ...]) -> None:
-        self._errors += 1
-        self._dropped += sum(map(_rows, arguments))
-        self._last_error = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+def _told(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:200]
 
 
 def _widened(estimates: Estimates, inputs: NDArray[np.float64] | None) -> Estimates:
