@@ -89,12 +89,32 @@ def test_another_motor_and_a_missing_brush_drop_are_told_or_the_intervals_hold_t
 @pytest.mark.fit
 def test_how_the_voltage_runs_between_samples_is_found(watching):
     hold = 13  # the last of the window's numbers, around one half
-    for between, expected in (("held", 1.0), ("linear", 0.0)):
-        world = at(drawn(7, 1), **FILE, excitation="dither", noise="0.2-0.5", between=between)
+    for excitation, between, expected in (
+        ("dither", "held", 1.0), ("dither", "linear", 0.0), ("loop", "held", 1.0)
+    ):  # fmt: skip
+        world = at(drawn(7, 1), **FILE, excitation=excitation, noise="0.2-0.5", between=between)
         recorded = record(world)
         dt = np.diff(recorded.time_s, prepend=recorded.time_s[0] - 0.002)
         _, state = watching.run(dt, recorded.voltage_V, recorded.current_A, recorded.ambient_C)
         assert state[hold] + 0.5 == pytest.approx(expected, abs=0.15)
+
+
+def test_a_steady_voltage_shows_nothing_of_the_winding_however_often_the_load_jumps(watching):
+    """Switched on late, at constant voltage: what only the load drives must leave the temperature where it was."""
+    rng, n = np.random.default_rng(2), 60_000
+    time, load = np.arange(n) * 5e-3, np.repeat(rng.uniform(0.0, 8.0, 30), n // 30)
+    voltage = np.full(n, 160.0)
+    warm = np.array([3.3, 156.0, 60.0])
+    states, _ = run(Constants(), time, voltage, True, load, np.zeros(n), warm)
+    seen, _ = watching.run(
+        np.full(n, 5e-3), voltage + 1.0 * rng.standard_normal(n), states[:, 0] + 0.06 * rng.standard_normal(n),
+        np.full(n, 20.0),
+    )  # fmt: skip
+    theta = seen[:, watching.outputs.index("temperature")]
+    sd = np.exp(0.5 * seen[:, watching.outputs.index("log_temperature")])
+    # Its first guess is 24 K and 36 K; five minutes of heating towards its equilibrium of some 45 K move both a little.
+    assert abs(theta[-1] - 24.0) < 8.0
+    assert 30.0 < sd[-1] < 45.0
 
 
 @pytest.mark.fit

@@ -13,7 +13,6 @@ quality that another motor is likelier than the file's.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from motorlens_train.observer.discrepancies import SATURATED
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.signals import rounding
 
@@ -25,8 +24,8 @@ SPREAD = {"inertia": TOLERANCE * (5 / 3) ** 0.5, "inductance": TOLERANCE / 3**0.
 SLACK = {"inertia": 0.002, "inductance": 0.005}
 # A drop: one deviation as a share of the rated voltage, the prior of `brush_voltage_drop` in the catalogue of effects.
 DROP = 0.01
-# What an interval of so many deviations may leave out: 0.05 of 1.96, and of 4.0 what one motor in four hundred is.
-LEVELS = ((0.05, 1.96), (0.0025, 4.0))
+# What an interval of so many deviations may leave out: 0.05 of 1.96, and of 4.0 what one motor in two thousand is.
+LEVELS = ((0.05, 1.96), (0.0005, 4.0))
 # Of a motor that creeps or follows a controller, estimates of discrepancies lie up to three of their deviations off.
 COUNTED = 1 / 9
 # Odds are kept within exp(-+MOST).
@@ -65,10 +64,10 @@ def doubt(
     for name in tested(layout):
         _, information, score = known[name]
         other = other + weight(score, information, SLACK[name] ** 2, SPREAD[name] ** 2)
-    moved, information, score = known["drop"]
+    moved, told, shown = known["drop"]
     volts, amps = rounding(layout, memory)
     offset = volts + resistance * resistance * amps + (layout.settings.model_sd * rated.voltage_V) ** 2
-    missing = weight(score, information, offset, (DROP * rated.voltage_V) ** 2)
+    missing = weight(shown, told, offset, (DROP * rated.voltage_V) ** 2)
     prior = layout.settings.others / (1.0 - 2.0 * layout.settings.others)
     # Where J or ke is a state, a motor of its own is what the observer looks for.
     another = 0.0 if {"J", "ke"} & set(layout.parameters) else exponent(other) * prior
@@ -81,15 +80,14 @@ def doubt(
     for state, size in ((w, x[w]), (theta, x[theta] + 1 / layout.motor.alpha)):
         total = (share * size * TOLERANCE) * (share * size * TOLERANCE) + moved[state] * moved[state] * offset
         for name in tested(layout):
-            V, told, shown = known[name]
-            spread = remaining(shown, told, SPREAD[name] ** 2)
+            V, information, score = known[name]
+            spread = remaining(score, information, SPREAD[name] ** 2)
             total = total + V[state] * V[state] * (share * share * spread + SLACK[name] ** 2)
         grown[layout.states[state]] = total
-    # A drop, as large as they come, has moved the states. Which way it acts now, and so how far it has moved the speed, a
-    # current near zero does not tell.
-    clear = (memory["slope"].abs() * (1 / (SATURATED * rated.current_A))).min(1.0)
-    gone = lost * (3**0.5 * DROP * rated.voltage_V)
-    for state, moves in ((w, moved[w].abs() + (1.0 - clear) * (1 / layout.motor.ke)), (theta, moved[theta])):
+    # A drop as large as may remain has moved the states; the speed by all of it, whichever way and whether or not it acts
+    # at a current near zero.
+    gone = lost * remaining(shown, told, (DROP * rated.voltage_V) ** 2).sqrt()
+    for state, moves in ((w, moved[w].abs().max(1 / layout.motor.ke)), (theta, moved[theta])):
         name = layout.states[state]
         grown[name] = grown[name] + gone * moves * (gone * moves)
     hot = (x[theta] - WARMEST).max(-COLDEST - x[theta])

@@ -56,9 +56,17 @@ def correct(layout: Layout) -> Program:
     one, two = still.window, changing.window
     K = [both(a, b) for a, b in zip(one.K, two.K, strict=True)]
     filtered = Window(
-        both(one.error, two.error), both(one.S, two.S), K, one.H, one.F, one.rates, one.near, share
+        both(one.error, two.error),
+        both(one.S, two.S),
+        K,
+        one.H,
+        one.F,
+        one.rates,
+        one.near,
+        one.changes,
+        share,
     )
-    kept, hold, shift = told(layout, known, window, found, filtered, believed)
+    kept, hold, shift = told(layout, known, window, memory, found, filtered, believed)
     new = [([x + d for x, d in zip(s.x, shift, strict=True)], s.P) for s in (still, changing)]
     surprise = both(still.surprise, changing.surprise) * believed
     drift = memory["drift"] + believed * LAG * (filtered.error - memory["drift"])
@@ -172,18 +180,25 @@ def _advanced(
         * (steps * (layout.v_sd**2) + R * R * steps * layout.i_sd**2 + 2 * (motor.L * layout.i_sd) ** 2)
         / (T * T)
     )
+    changes = window["sum_changes"] / (T * T)
     noise = (
-        found.colour * white + found.coarse + window["sum_changes"] / (T * T) + (settings.model_sd * rated.voltage_V) ** 2
+        found.colour * white + found.coarse + changes + (settings.model_sd * rated.voltage_V) ** 2
         + R * unsure * R * unsure
         + (sag * (motor.ke * settings.bend_sd)) * (sag * (motor.ke * settings.bend_sd))
     )  # fmt: skip
     PH = [dot(P[j], H) for j in range(n)]
     S = dot(H, PH) + noise
+    # Of an unknown load and an unknown resistance a steady voltage shows only what both do to the speed. A current that the
+    # voltage drives tells them apart, or a rotor at rest; without either, slow states are considered and not corrected
+    # (Schmidt-Kalman; Jazwinski 1970, ch. 8.4), or each load that jumps, noticed late, would cool the winding.
     # The mean over a gap says nothing about its end.
-    K = [PH[j] / S * believed for j in range(n)]
+    best = [PH[j] / S * believed for j in range(n)]
+    fast, own = (w, load), near.max(found.free)
+    K = [best[j] if j in fast else best[j] * own for j in range(n)]
     new = [ahead[j] + K[j] * error for j in range(n)]
     for a, b in layout.pairs:
-        P[a][b] = P[a][b] - K[a] * PH[b]
+        taken = 1.0 if a in fast or b in fast else own * (2.0 - own)
+        P[a][b] = P[a][b] - best[a] * PH[b] * taken
     # What it was on average until the rotor came loose tells nothing of what it is from then on.
     P[load][load] = P[load][load] + 0.5 * walk + near.select(torque * torque, 0.0)
     P[w][w] = P[w][w] + gap * rated.speed_rad_s**2
@@ -196,5 +211,10 @@ def _advanced(
     surprise = error * error / S
     own = error / (S - (found.colour - 1.0) * white).sqrt()
     return _Step(
-        new, P, surprise, (surprise + S.log()) * -0.5, own, Window(error, S, K, H, F, rates, near, 0.0)
+        new,
+        P,
+        surprise,
+        (surprise + S.log()) * -0.5,
+        own,
+        Window(error, S, K, H, F, rates, near, changes, 0.0),
     )

@@ -18,17 +18,26 @@ from typing import Any
 from motorlens_train.observer.algebra import dot
 from motorlens_train.observer.layout import DISCREPANCIES, Layout
 from motorlens_train.observer.program import Value
-from motorlens_train.observer.signals import Signals, above, beyond
+from motorlens_train.observer.signals import WINDOWS, Signals, beyond
 
 # Held or linear, nobody knows: 0.5 with a deviation of 0.5, whose square's reciprocal is this information.
 HOLD_KNOWN = 4.0
 # What a discrepancy shows by must be beyond so many deviations of noise: its product with an innovation holds the noise's
 # square, which would add up. The currents' share of the noise is known to a factor of two only.
 CLEAR = 10.0
+# What is left of the variance of a window in which the voltage changed, once it is known how it runs between samples: its
+# stamps are good to a tenth of a step, not to half of one.
+STAMPED = (0.1 / 0.5) ** 2
+# A change that tells how the voltage runs is worth so many deviations of what else a window may be off by.
+PLAIN = 3.0
+# The innovations' excess from which on the noise is taken to have changed: they are twice as large (squared) as stated.
+RESTLESS = 1.0
 # A change of the current tells of the inductance beyond this share of the rated one.
 LARGE = 0.3
 # A drop is as large as it gets from this share of the rated current on.
 SATURATED = 0.02
+# Beyond this share of the rated current it is; on the way there the filter may have taken part of it for a speed.
+FIRM = 0.3
 # Scores and information fade with this time constant, s: what was true of the motor ten minutes ago need not be.
 FADE_S = 600.0
 
@@ -36,7 +45,8 @@ FADE_S = 600.0
 @dataclass(frozen=True)
 class Window:
     """One window of the filter: innovation `error` (V) of variance S (V^2), gain K, slopes H, Jacobian F, rates of the
-    states; `near` is 1 where the rotor may rest, `changing` the probability that the load does."""
+    states; `near` is 1 where the rotor may rest, `changes` what a change of the voltage adds to S, not knowing when it came,
+    `changing` the probability that the load does."""
 
     error: Any
     S: Any
@@ -45,11 +55,13 @@ class Window:
     F: list[list[Any]]
     rates: list[Any]
     near: Any
+    changes: Any
     changing: Any
 
 
 def told(
-    layout: Layout, known: Mapping[str, Any], window: Mapping[str, Value], found: Signals, filtered: Window, believed: Any
+    layout: Layout, known: Mapping[str, Any], window: Mapping[str, Value], memory: Mapping[str, Value], found: Signals,
+    filtered: Window, believed: Any,
 ) -> tuple[list[Any], Any, list[Any]]:  # fmt: skip
     """After a window: what is kept of all discrepancies, the new `hold`, and by how much the states move with it."""
     w, T, n = layout.at["w"], window["time"], len(layout.states)
@@ -58,16 +70,17 @@ def told(
     swing = (found.level * (2 * layout.i_sd**2)).sqrt() * CLEAR + LARGE * rated.current_A
     saturated = (found.weighing * (1 / (SATURATED * rated.current_A))).max(-1.0).min(1.0)
     direct = {
-        # Only a change of the voltage that stands above its noise tells how it ran; the rest is not the motor's.
-        "hold": above(found.lean, found.share * found.share * found.level * (0.5 * layout.v_sd**2)),
+        "hold": found.lean,
         "inertia": 0.0,
         # Only a change that the voltage drives, and far above its noise, tells of the inductance.
         "inductance": beyond(change, swing) * found.free * layout.motor.L / T,
         "drop": saturated,
     }
     # On the way through zero nobody knows what part of a drop is there already.
-    limit = SATURATED * rated.current_A + 3.0 * found.noise
+    limit = FIRM * rated.current_A + 3.0 * found.noise
     firm = limit * limit <= found.slope * (window["sum_current"] / T)
+    # While the noise is being found, or has just changed, nothing stands above it for certain.
+    settled = (WINDOWS <= memory["count"]) * (memory["restless"] <= RESTLESS)
     kept: list[Any] = []
     hold, shift = window["hold"], [0.0] * n
     for name in DISCREPANCIES:
@@ -88,12 +101,16 @@ def told(
         # While the load is whatever holds the rotor, or is changing, an innovation tells of the load.
         g = g * (1.0 - filtered.near) * (1.0 - filtered.changing)
         g = g * firm if name == "drop" else g
-        information = information + g * g / S
         if name == "hold":
-            step = g * filtered.error / S / (information + HOLD_KNOWN)
+            # Only a change of the voltage that stands above all that a window may be off by tells how it ran.
+            S_known = S - filtered.changes * (1.0 - STAMPED)
+            g = g * settled * (S_known * PLAIN**2 <= found.lean * found.lean)
+            information = information + g * g / S_known
+            step = g * filtered.error / S_known / (information + HOLD_KNOWN)
             held = (hold + step).max(-0.5).min(0.5)
             hold, shift = held, [v * (held - hold) for v in V]
         else:
+            information = information + g * g / S
             stays = 1.0 - (T * (1 / FADE_S)).min(1.0) * believed
             information, score = information * stays, (score + g * filtered.error / S) * stays
         kept += [*V, information, score]
