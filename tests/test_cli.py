@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from motorlens_runtime import cli
+
 COMMANDS = sorted(point.name for point in entry_points(group="motorlens.commands"))
 ROOT = Path(__file__).resolve().parents[1]
 MOTOR = "models/motors/mellah2016.toml"
@@ -87,3 +89,12 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
         done.stderr
         == "motorlens simulate: needs sympy, which is not installed: pip install 'motorlens[workbench]'\n"
     )
+
+
+def test_the_runtimes_own_commands_are_found_as_the_entry_points_say():
+    points = {point.name: point.value for point in entry_points(group="motorlens.commands")}
+    own = {name for name, module in points.items() if module.startswith("motorlens_runtime.")}
+    assert len(own) >= 6
+    for name in own:
+        assert cli._modules(name) == {name: points[name]}
+    assert cli._modules("simulate") == cli._modules(None) == points

@@ -4,18 +4,16 @@ import importlib.util
 import json
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from motorlens_physics.recording import read_recording
+from motorlens_runtime.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-MOTORLENS = Path(sys.executable).with_name("motorlens")
 spec = importlib.util.spec_from_file_location("collect", ROOT / "benchmarks" / "collect.py")
 assert spec is not None and spec.loader is not None
 collect = importlib.util.module_from_spec(spec)
@@ -33,23 +31,17 @@ def tasks() -> dict[str, list[str]]:
     return found
 
 
-def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def run(command: str) -> int:
+    """A command of a document, in the folder where one stands; `test_cli` and `test_wheel` start it as a program."""
     words = shlex.split(command)
     assert words[0] == "motorlens"
-    return subprocess.run(
-        [MOTORLENS, *words[1:]],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        stdin=subprocess.DEVNULL,
-    )
+    return main(words[1:])
 
 
 def somebodys_csv(folder: Path) -> None:
     """`mine.csv` as the README shows its first lines: German words, decimal commas, duty and supply, milliamperes, rpm."""
     make = "motorlens simulate mellah2016 --scenario load_steps --noise 0.2% -o truth.csv"
-    assert run(make, folder).returncode == 0
+    assert run(make) == 0
     truth = read_recording(folder / "truth.csv")
     v, i, w = (truth.channels[q] for q in ("voltage", "current", "speed"))
     load = truth.channels["load_torque"]
@@ -74,19 +66,22 @@ def test_there_are_three_tasks_of_at_most_five_commands():
 
 @pytest.mark.blind
 @pytest.mark.parametrize("task", range(3))
-def test_each_task_runs_in_an_empty_folder(task, tmp_path):
+def test_each_task_runs_in_an_empty_folder(task, tmp_path, monkeypatch, capfd):
     heading, commands = list(tasks().items())[task]
+    monkeypatch.chdir(tmp_path)
     if any("mine.csv" in command for command in commands):
         somebodys_csv(tmp_path)
     for command in commands:
-        done = run(command, tmp_path)
-        assert done.returncode == 0, f"{heading}: {command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        capfd.readouterr()
+        status = run(command)
+        done = capfd.readouterr()
+        assert status == 0, f"{heading}: {command}\n{done.out[-2000:]}\n{done.err[-2000:]}"
         for word in ("-o", "--html", "--json"):
             words = shlex.split(command)
             if word in words:
                 assert (tmp_path / words[words.index(word) + 1]).stat().st_size > 0
     if "compare" in commands[-1]:  # what was missing was found and added
-        assert done.stdout.startswith("The model follows these recordings to their noise"), done.stdout
+        assert done.out.startswith("The model follows these recordings to their noise"), done.out
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ Exit status: 0 done, 1 the data or the model is at fault, 2 wrong usage.
 
 import argparse
 import importlib
+import importlib.util
 import json
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import entry_points, version
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,8 +31,8 @@ EXTRAS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `motorlens` with the given arguments (default: those of the process) and return the exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    modules = {point.name: point.value for point in entry_points(group="motorlens.commands")}
-    parser = _parser(modules, chosen=arguments[0] if arguments else None)
+    chosen = arguments[0] if arguments else None
+    parser = _parser(_modules(chosen), chosen)
     parsed = parser.parse_args(arguments)
     try:
         return int(parsed.run(parsed))
@@ -54,6 +54,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(parsed.command, f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
         return _fail(parsed.command, "interrupted", status=130)
+
+
+def _modules(chosen: str | None) -> dict[str, str]:
+    """Modules by the name of their command: of the chosen one alone where it is the runtime's own."""
+    own = f"motorlens_runtime.commands.{chosen}"
+    if chosen and chosen.isidentifier() and importlib.util.find_spec(own):
+        return {chosen: own}
+    # Imported here: it reads what every installed distribution says of itself.
+    from importlib.metadata import entry_points
+
+    return {point.name: point.value for point in entry_points(group="motorlens.commands")}
+
+
+class _Version(argparse.Action):
+    """`--version`: looked up where it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *arguments: object) -> None:
+        from importlib.metadata import version
+
+        parser.exit(message=f"motorlens {version('motorlens')}\n")
 
 
 def write_json(document: dict[str, Any], target: str | None) -> None:
@@ -78,7 +98,7 @@ def _parser(modules: dict[str, str], chosen: str | None) -> argparse.ArgumentPar
         description="Virtual sensor for brushed DC motors, and the workbench that tells which physics is missing.",
         epilog="example: motorlens infer recording.csv --sensor mellah2016 -o estimates.csv",
     )
-    parser.add_argument("--version", action="version", version=f"motorlens {version('motorlens')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     # Only the chosen command is imported in full; the overview needs the help line of each.
     for name in sorted(modules) if chosen not in modules else [chosen]:

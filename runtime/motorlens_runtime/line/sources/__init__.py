@@ -8,7 +8,6 @@
 import importlib
 import pkgutil
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from typing import Protocol
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
@@ -57,16 +56,19 @@ def open_source(parts: SplitResult, options: Options) -> Source:
         DeviceError: the port is absent or taken.
     """
     built_in = {module.name: f"{__name__}.{module.name}" for module in pkgutil.iter_modules(__path__)}
-    added = {point.name: point for point in entry_points(group="motorlens.sources")}
     if parts.scheme in built_in:
         opener: Callable[[SplitResult, Options], Source] = importlib.import_module(
             built_in[parts.scheme]
         ).open_url
-    elif parts.scheme in added:
-        opener = added[parts.scheme].load()
-    else:
+        return opener(parts, options)
+    # Imported here: it reads what every installed distribution says of itself.
+    from importlib.metadata import entry_points
+
+    added = {point.name: point for point in entry_points(group="motorlens.sources")}
+    if parts.scheme not in added:
         known = ", ".join(sorted({*built_in, *added, "file"}))
         raise DataError(f"--source {parts.geturl()}: unknown scheme {parts.scheme!r}; known: {known}")
+    opener = added[parts.scheme].load()
     return opener(parts, options)
 
 
