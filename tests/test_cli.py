@@ -79,6 +79,35 @@ def test_a_mistake_gets_one_line(arguments: list[str], status: int, said: str) -
         assert done.stderr.startswith("motorlens simulate: ")
 
 
+@pytest.mark.parametrize(
+    ("given", "then"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3"), ({"OMP_NUM_THREADS": "3"}, "")]
+)
+def test_blas_has_one_thread_in_every_command_unless_the_user_says_otherwise(
+    given: dict[str, str], then: str
+) -> None:
+    script = """
+import subprocess, sys
+from motorlens_runtime import cli
+assert "numpy" not in sys.modules
+cli._parser = lambda *a, **k: 1 / 0
+try:
+    cli.main([])
+except ZeroDivisionError:
+    pass
+subprocess.run([sys.executable, "-c", "import os; print(os.environ.get('OPENBLAS_NUM_THREADS', ''))"])
+"""
+    clean = {k: v for k, v in os.environ.items() if k not in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env=clean | given,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout.strip() == then
+
+
 def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     (tmp_path / "sympy.py").write_text(
         "raise ModuleNotFoundError(\"No module named 'sympy'\", name='sympy')\n"

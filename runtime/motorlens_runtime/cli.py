@@ -30,6 +30,10 @@ EXTRAS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `motorlens` with the given arguments (default: those of the process) and return the exit status."""
+    # Before numpy is imported, and handed down to every process that is started: our matrices are small, and BLAS's threads
+    # would spin beside ours for several times the processor time.
+    if not {"OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"} & os.environ.keys():
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"
     arguments = list(sys.argv[1:] if argv is None else argv)
     chosen = arguments[0] if arguments else None
     parser = _parser(_modules(chosen), chosen)
