@@ -79,6 +79,7 @@ def test_a_mistake_gets_one_line(arguments: list[str], status: int, said: str) -
         assert done.stderr.startswith("motorlens simulate: ")
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize(
     ("given", "then"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3"), ({"OMP_NUM_THREADS": "3"}, "")]
 )
