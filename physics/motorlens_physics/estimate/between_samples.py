@@ -5,41 +5,42 @@ likeliest.
 """
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
 from motorlens_physics.estimate.model import sensitivities_of
-from motorlens_physics.estimate.noise import likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Errors, Weighed
-
-# Twice the logarithm of the likelihood by which another way the inputs ran must be better: that of one parameter more at
-# the 1 % level.
-BETTER = 6.6
-# Updates of the noise for each way.
-UPDATES = 3
+from motorlens_physics.estimate.weighed import Weighed, moved_on, needed
 
 
-def as_they_ran(point: Weighed, prior: Prior) -> list[Run]:
+def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
     """The runs with their inputs held between samples, or not, and all channels a sample earlier or later: as is likeliest.
 
-    Each way is judged at its own best parameters, one step away, and with its own noise. A run that stays as it was is the
-    same object.
+    Each way is judged at its own best parameters, one step away, see `weighed.Frame`. A run that stays as it was is the same
+    object.
     """
-    chosen = []
+    chosen, inflation = [], point.tempered().inflation
     for r, part in enumerate(point.parts):
-        here = part.run.inputs.hold
-        loads = (False, True) if "load_torque" in part.run.known else (here[1],)
-        scores: dict[tuple[tuple[bool, bool, bool], int], float] = {}
-        for voltage, load in product((False, True), loads):
-            hold = (voltage, load, here[2])
-            scores |= {(hold, moved): score for moved, score in _likelihoods(point, prior, r, hold).items()}
-        likeliest = min(scores, key=lambda way: scores[way])
-        better = scores[likeliest] < scores[here, 0] - BETTER
-        chosen.append(_moved(part.run.holding(likeliest[0]), likeliest[1]) if better else part.run)
-    return chosen
+        measured, ambient = "load_torque" in part.run.known, part.run.inputs.hold[2]
+        ways = {
+            (held, moved): cost
+            for held in (False, True)
+            for moved, cost in _costs(point, prior, r, (held, held, ambient), straight=True).items()
+        }
+        held, moved = min(ways, key=lambda way: ways[way])
+        here = min(ways[way, 0] for way in (False, True))
+        # That all is late is one thing more than how inputs ran, and that they did not run alike is another.
+        if (here - ways[held, moved]) / inflation <= needed(len(ways)):
+            held, moved = min(ways, key=lambda way: (way[1] != 0, ways[way]))
+        load = held
+        if measured and not moved:
+            alike, other = (
+                _costs(point, prior, r, (held, one, ambient), straight=False)[0] for one in (held, not held)
+            )
+            load = not held if (alike - other) / inflation > needed(1) else held
+        chosen.append(_moved(part.run.holding((held, load, ambient)), moved))
+    return tuple(chosen)
 
 
 def _moved(run: Run, samples: int) -> Run:
@@ -48,28 +49,36 @@ def _moved(run: Run, samples: int) -> Run:
     return run
 
 
-def _likelihoods(point: Weighed, prior: Prior, r: int, hold: tuple[bool, bool, bool]) -> dict[int, float]:
-    """Twice the negative logarithmic likelihood of a run whose inputs ran this way, by how many samples it was late."""
+def _costs(
+    point: Weighed, prior: Prior, r: int, hold: tuple[bool, bool, bool], *, straight: bool
+) -> dict[int, float]:
+    """Twice the negative logarithmic likelihood of a run whose inputs ran this way, by how many samples it was late.
+
+    Without skews (`straight`), which would make up for a voltage that ran otherwise.
+    """
     part = point.parts[r]
-    # Without skews, which make up for inputs that ran otherwise.
-    mine = tuple(k for k in part.mine if not prior.keys[k].startswith("skew."))
+    mine = tuple(k for k in part.mine if not (straight and prior.keys[k].startswith("skew.")))
     keys = [prior.keys[k] for k in mine]
-    straight = {f"{name}@{r}": 0.0 for name in point.model.own[r] if name.startswith("skew.")}
+    none = {f"{name}@{r}": 0.0 for name in point.model.own[r] if name.startswith("skew.")}
     held = tuple(hold if k == r else h for k, h in enumerate(point.model.held))
-    model = replace(point.model, held=held).with_values(straight)
-    plain = replace(part.run.holding(hold), corrections=None)
-    _, shown, columns, linear = sensitivities_of(model, plain, r, keys)
+    model = replace(point.model, held=held).with_values(none)
+    values = model.values()
+    run, frame = part.run.holding(hold), point.frames[r]
+    _, shown, columns, _ = sensitivities_of(model, run, r, keys)
     width = np.array([prior.sd[key] for key in keys])
-    scores = {}
+    off = np.array([values[key] - prior.centre[key] for key in keys]) / width
+    costs = {}
     for samples in (-1, 0, 1):
-        run = _moved(plain, samples)
-        # What one way cannot explain are no outliers of the other; the same samples count in all.
+        moves = tuple(0 if channel == "temperature" else samples for channel in run.channels)
+        # The same samples count in all.
         used = run.there.copy()
         used[[0, -1]] = False
-        error = run.measured - shown
-        noise = likelier(part.noise, run, linear, error, used, 1)[0]
-        of = Errors(run, error, columns, mine, linear, noise, used).sums(1)
-        step = np.linalg.lstsq(of.gram + np.diag(width**-2.0), of.scores.sum(axis=0), rcond=1e-12)[0]
-        _, total = likelier(noise, run, linear, error - columns @ step, used, UPDATES)
-        scores[samples] = total + float(np.sum((step / width) ** 2))
-    return scores
+        later = moved_on(shown, moves)
+        error = frame.error(run.measured - later)
+        of = replace(
+            part, columns=moved_on(columns, moves), mine=mine, frame=frame, used=used, error=error
+        ).sums(1)
+        score = of.scores.sum(axis=0) - off / width
+        step = np.linalg.lstsq(of.gram + np.diag(width**-2.0), score, rcond=1e-12)[0]
+        costs[samples] = of.squares + float(off @ off) - float(score @ step)
+    return costs

@@ -12,39 +12,110 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from motorlens_physics.estimate.fit import NEAR, Fit, fit
-from motorlens_physics.estimate.model import Model, predict
-from motorlens_physics.estimate.prior import Prior, around
+from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse
+from motorlens_physics.estimate.innovations import innovations
+from motorlens_physics.estimate.prior import SKEW, Prior, around
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Weighed, at
+from motorlens_physics.estimate.weighed import Errors, Weighed, at, needed
 
 Array = NDArray[np.float64]
 
 # The longest delay that is looked for, as a share of the recording.
 LONGEST = 0.1
-# A skew by more than this share of a sample is a delay by a whole one, and said, if by this many standard deviations.
-MOST_OF_A_SAMPLE, SURE = 0.75, 4.0
-# Gain in log likelihood, twice, that a delay must bring: the 1 % level of the best of as many lags as there are.
-LEVEL = 6.6
+# A skew by more than this share of a sample is a delay by a whole one.
+MOST_OF_A_SAMPLE = 0.75
+# A delay is said if by this many standard deviations, and more than converters usually have.
+SURE = 4.0
 # How often late channels are moved on, and how many samples a delay is first unsure by (one standard deviation).
 REALIGNED, UNSURE = 6, 4.0
 
 
-def late_channels(model: Model, runs: Sequence[Run]) -> tuple[Run, ...]:
-    """The runs with the channels moved that follow the simulation late (or early) by a sample or more."""
-    return tuple(_moved(model, run, r) for r, run in enumerate(runs))
+@dataclass(frozen=True)
+class Lag:
+    """A channel of a run that looks late by whole samples.
+
+    Attributes:
+        r: position of the run.
+        channel: of its outputs.
+        samples: by how many; negative is early.
+        gain: twice the gain in logarithmic likelihood that it seems to bring.
+        tried: how many lags were looked at.
+    """
+
+    r: int
+    channel: str
+    samples: int
+    gain: float
+    tried: int
 
 
-def _moved(model: Model, run: Run, r: int) -> Run:
-    steps = np.diff(run.inputs.time_s)
-    if np.ptp(steps) > 0.5 * np.median(steps):
+def likeliest_lag(point: Weighed, prior: Prior) -> Lag | None:
+    """The channel that seems to win most by a delay of more than a sample; None if none wins beyond chance.
+
+    A sample less or more is how inputs ran between samples, or a skew. What seems so is to be fitted in full.
+    """
+    best, inflation = None, point.tempered().inflation
+    for r, part in enumerate(point.parts):
+        steps = np.diff(part.run.inputs.time_s)
+        most = int(LONGEST * len(part.error))
         # Without even steps a delay is no number of samples.
-        return run
-    _, shown = predict(model, run, r)
-    for c, channel in enumerate(run.channels):
-        if channel != "temperature":
-            run = run.delayed(channel, lag_of(run.measured[:, c], shown[:, c], run.there[:, c]))
-    return run
+        if most < 2 or np.ptp(steps) > 0.5 * np.median(steps):
+            continue
+        lags, tried = np.arange(-most, most + 1), (2 * most + 1) * len(part.run.channels)
+        free = [j for j, k in enumerate(part.mine) if not prior.keys[k].startswith("skew.")]
+        width = np.array([prior.sd[prior.keys[part.mine[j]]] for j in free])
+        for c, channel in enumerate(part.run.channels):
+            if channel != "temperature":
+                gains = gains_of_lags(part, c, most, part.columns[:, :, free], width)
+                gains[np.abs(lags) <= 1] = 0.0
+                k = int(np.argmax(gains))
+                lag = Lag(r, channel, int(lags[k]), float(gains[k]) / inflation, tried)
+                if lag.gain > max(needed(tried), best.gain if best else 0.0):
+                    best = lag
+    return best
+
+
+def gains_of_lags(part: Errors, c: int, most: int, columns: Array, width: Array) -> Array:
+    """(2 most + 1,) fall of the whitened squares if channel c showed what it does that many samples later.
+
+    It is the simulation that is moved: its inputs are independent of the errors as they are, of no others. The parameters
+    go where they are best for each lag, one step away, for a delay bends them until it hardly shows. The filter is taken not
+    to change with time, so that a signal moved is its innovations moved.
+
+    Args:
+        part: the run.
+        c: position of the channel.
+        most: the longest delay, samples.
+        columns: (N, C, k) sensitivities to the parameters.
+        width: (k,) their standard deviations before.
+    """
+    shown = part.run.measured[:, c] - part.difference[:, c]
+    signal = np.zeros((*part.error.shape, 1))
+    signal[:, c, 0] = shown - np.median(shown)
+    white = innovations(part.space, np.concatenate([part.error[:, :, None], signal, columns], axis=2)).white
+    error, moved, slopes = white[:, :, 0], white[:, :, 1], white[:, :, 2:]
+    rest = error + moved
+    lags, rows = np.arange(-most, most + 1), len(shown)
+    first, last = np.maximum(lags, 0), rows + np.minimum(lags, 0)
+
+    def across(y: Array) -> Array:
+        """Sums of the products of (N, C) and the moved signal, at each lag."""
+        pairs = zip(y.T, moved.T, strict=True)
+        return np.asarray(sum(correlate(np.pad(a, most), b, mode="valid", method="fft") for a, b in pairs))
+
+    left = _between(rest, first, last) + _between(moved, first - lags, last - lags) - 2 * across(rest)
+    gram = np.tensordot(slopes, slopes, axes=([0, 1], [0, 1])) + np.diag(width**-2.0)
+    score = np.array(
+        [float(np.sum(slope * rest)) - across(slope) for slope in np.moveaxis(slopes, 2, 0)]
+    ).reshape(-1, len(lags))
+    by_step = np.sum(score * (inverse(gram) @ score), axis=0) if len(width) else np.zeros(len(lags))
+    return np.asarray(_between(error, first, last) - left + by_step - by_step[most])
+
+
+def _between(y: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
+    """Sums of squares of the rows of (N, C) from each first to each last."""
+    total = np.concatenate([[0.0], np.cumsum(np.sum(y * y, axis=1))])
+    return np.asarray(total[last] - total[first])
 
 
 def nearer(runs: tuple[Run, ...], found: Fit, prior: Prior) -> tuple[tuple[Run, ...], Fit]:
@@ -88,35 +159,6 @@ def realigned(point: Weighed, prior: Prior) -> Weighed:
     return at(point.model.with_values(values), replace(point, parts=tuple(parts)), prior)
 
 
-def lag_of(measured: Array, shown: Array, there: NDArray[np.bool_]) -> int:
-    """By how many samples what was measured (N,) comes after what is shown by the simulation; 0 unless beyond chance.
-
-    >>> t = np.arange(4000) * 0.01
-    >>> wave = np.sin(t + t**2 / 9)
-    >>> noise = 0.05 * np.random.default_rng(0).standard_normal(4000)
-    >>> there = np.ones(4000, dtype=bool)
-    >>> lag_of(np.roll(wave, 7) + noise, wave, there), lag_of(wave + noise, wave, there)
-    (7, 0)
-    """
-    rows = len(measured)
-    most = int(LONGEST * rows)
-    if most < 2 or np.ptp(shown) == 0:
-        return 0
-    y = np.where(there, measured - np.mean(measured[there]), 0.0)
-    # Before its start the motor is taken to have been as it starts, and after its end as it ends.
-    x = np.pad(shown - np.mean(shown), most, mode="edge")
-    cross = correlate(x, y, mode="valid", method="fft")[::-1]
-    power = (_windows(x * x, rows) - _windows(x, rows) ** 2 / rows)[::-1]
-    error = np.maximum(y @ y - np.maximum(cross, 0.0) ** 2 / np.maximum(power, 1e-300), 1e-300)
-    lags = np.arange(-most, most + 1)
-    best, here = int(np.argmin(error)), most
-    x = x[most:-most]
-    residual = y - cross[best] / power[best] * _shifted(x, int(lags[best]))
-    won = _independent(residual) * np.log(error[here] / error[best])
-    # A lag of one sample is how the input ran between samples, or a skew.
-    return int(lags[best]) if abs(lags[best]) > 1 and won > LEVEL + 2 * np.log(len(lags)) else 0
-
-
 @dataclass(frozen=True)
 class Delay:
     """By how much a channel of a recording comes after its voltage, with its standard deviation, in seconds."""
@@ -135,7 +177,7 @@ class Delay:
 
 
 def delays_of(found: Fit, runs: Sequence[Run]) -> tuple[Delay, ...]:
-    """The channels of fitted runs that are late, or early, beyond doubt and by most of a sample."""
+    """The channels of fitted runs that are late, or early, beyond doubt and by more than converters usually are."""
     sd = found.sd()
     late = []
     for r, run in enumerate(runs):
@@ -143,33 +185,6 @@ def delays_of(found: Fit, runs: Sequence[Run]) -> tuple[Delay, ...]:
             skew = found.model.own[r].get(f"skew.{channel}", 0.0)
             value = run.late.get(channel, 0) * run.period_s + skew
             spread = sd.get(f"skew.{channel}@{r}", 0.0)
-            if abs(value) > max(MOST_OF_A_SAMPLE * run.period_s, SURE * spread):
+            if abs(value) > max(SKEW * run.period_s, SURE * spread):
                 late.append(Delay(run.name, channel, value, spread))
     return tuple(late)
-
-
-def gain(before: Sequence[Array], after: Sequence[Array]) -> float:
-    """Twice the gain in logarithmic likelihood from residuals (rows, C) of each run to others of the same run."""
-    total = 0.0
-    for one, other in zip(before, after, strict=True):
-        for c in range(one.shape[1]):
-            ratio = float(np.mean(one[:, c] ** 2)) / max(float(np.mean(other[:, c] ** 2)), 1e-300)
-            total += _independent(other[:, c]) * float(np.log(max(ratio, 1e-300)))
-    return total
-
-
-def _independent(residual: Array) -> float:
-    """As how many independent samples residuals (N,) count whose neighbours are alike."""
-    alike = float(np.mean(residual[1:] * residual[:-1]) / max(float(np.mean(residual**2)), 1e-300))
-    alike = min(max(alike, 0.0), 1 - 2 / len(residual))
-    return len(residual) * (1 - alike) / (1 + alike)
-
-
-def _windows(x: Array, rows: int) -> Array:
-    """Sums over all windows of this many rows."""
-    total = np.concatenate([[0.0], np.cumsum(x)])
-    return np.asarray(total[rows:] - total[:-rows])
-
-
-def _shifted(x: Array, lag: int) -> Array:
-    return np.asarray(x[np.clip(np.arange(len(x)) - lag, 0, len(x) - 1)])

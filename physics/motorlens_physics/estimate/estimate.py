@@ -15,31 +15,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motorlens_physics.estimate.between_samples import BETTER, as_they_ran
-from motorlens_physics.estimate.delays import LEVEL, gain, late_channels, nearer, realigned
-from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse, plain_noise, squares, start_model
+from motorlens_physics.estimate.fit import Fit, inverse, plain_noise, squares, start_model
 from motorlens_physics.estimate.model import Model
-from motorlens_physics.estimate.noise import PIECE, Noise
+from motorlens_physics.estimate.noise import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
 from motorlens_physics.estimate.prior import Prior, base_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import (
-    Array,
-    Weighed,
-    at,
-    begun,
-    first_point,
-    minimised,
-    noisier,
-    unlikely,
-)
+from motorlens_physics.estimate.timing import Timing
+from motorlens_physics.estimate.weighed import Array, Weighed, at, from_noise, minimised, noisier
 from motorlens_physics.motor_file import MotorFile
 
 # Delays are looked for in this many times as many samples as everything else, for they may be a tenth of what is looked at;
 # and so many are next.
 FARTHER = 4
-# How often channels that are late are looked for again.
-REALIGNED = 4
 # Relative error of simulations until all samples are looked at.
 COARSE = 1e-4
 # Steps with all samples for which the noise is as it was found in pieces: the first make up for what those did not tell.
@@ -99,7 +87,7 @@ def estimate(
         model = replace(model, held=((held, held, held),) * len(runs))
     progress("coming near")
     if onward:
-        point = _from_noise(model, runs, [run.noise for run in runs], prior)
+        point = from_noise(model, runs, [run.noise for run in runs], prior)
     else:
         point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
         point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
@@ -120,41 +108,8 @@ def _near(
     """Near the best parameters: in pieces of long runs, with delays, the way inputs ran between samples, and noise."""
     wide, longer = pieces_of(begin, whole, FARTHER * PIECE)
     model, runs = pieces_of(wide, longer, PIECE)
-    prior = prior_of(prior, begin, runs, cut(whole, runs))
-    # Without skews, which would make up for inputs that ran otherwise between their samples.
-    straight = prior.only([key for key in prior.keys if not key.startswith("skew.")])
-    rough = fit(model, runs, straight, rounds=NEAR, enough=1.0)
-    # What is late bends the fit, and a motor that is slower than its file looks late: each is tried in full.
-    for seen_from in (wide, starting_as(rough.model, wide, cut(longer, runs))):
-        late = late_channels(seen_from, longer)
-        moved = tuple(as_found(run, other) for run, other in zip(runs, late, strict=True))
-        if any(one is not run for one, run in zip(moved, runs, strict=True)):
-            tried = fit(model, moved, straight, rounds=NEAR, enough=1.0)
-            if gain(rough.residuals, tried.residuals) > LEVEL:
-                runs, rough = nearer(moved, tried, straight)
-                break
-    point = begun(rough.model, runs, prior)
-    # While parameters are wrong, a large error is theirs, and every sample counts.
-    point, _, _ = minimised(point, prior, progress, outliers=False)
-    ran = point.runs if held is not None else as_they_ran(point, prior)
-    other = point
-    if any(one is not run for one, run in zip(ran, point.runs, strict=True)):
-        # Parameters fitted to inputs that ran otherwise have made up for it.
-        runs = tuple(replace(run, corrections=None) for run in ran)
-        skews = {key: 0.0 for key in prior.keys if key not in straight.keys}
-        again = replace(point.model.with_values(skews), held=tuple(run.inputs.hold for run in runs))
-        rough = fit(again, runs, straight, rounds=NEAR, enough=1.0)
-        other = begun(rough.model, runs, prior)
-    for _ in range(REALIGNED):
-        other = realigned(other, prior)
-        if other is point:
-            break
-        other, _, _ = minimised(other, prior, progress, outliers=False)
-        # One step away promised it; where it truly ends must hold it.
-        if unlikely(other, prior) > unlikely(point, prior) - BETTER:
-            break
-        point = other
-    return point
+    timing = Timing(model, wide, longer, prior_of(prior, begin, runs, cut(whole, runs)), progress)
+    return timing.likeliest(timing.near(model, runs), free=held is None)
 
 
 def _with_more(
@@ -174,18 +129,8 @@ def _with_more(
     model = replace(starting_as(near.model, begin, more), tolerance=COARSE if any(few) else begin.tolerance)
     found = tuple(as_found(run, piece) for run, piece in zip(runs, near.runs, strict=True))
     prior = prior_of(prior, begin, runs, few)
-    point = _from_noise(model, found, [part.noise for part in near.parts], prior)
+    point = from_noise(model, found, [part.noise for part in near.parts], prior)
     return minimised(point, prior, progress, outliers=False, trusted=TRUSTED)[0]
-
-
-def _from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise | None], prior: Prior) -> Weighed:
-    """A point with noise that was found before."""
-    point = first_point(model, runs, prior.keys)
-    parts = [
-        part if known is None else replace(part, noise=part.noise.like(known))
-        for part, known in zip(point.parts, noises, strict=True)
-    ]
-    return replace(point, parts=tuple(parts))
 
 
 def _concluded(end: Weighed, prior: Prior, gram: Array, left: float) -> Estimate:

@@ -50,9 +50,16 @@ def _before_conversion(toggling: float, step: float) -> float:
     return float(small if small < 0.5 * step else np.sqrt(max(toggling - step**2 / 12, 0.25 * step**2)))
 
 
-def smoothed(y: Array, step: float = 0.0) -> Array:
-    """(N,) evenly sampled, without its noise and that of a converter of this `step`; steps stay where they are."""
-    sd = float(np.hypot(noise_sd(y, step), step / np.sqrt(12)))
+def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
+    """(N,) evenly sampled, without its noise and that of a converter of this `step`; steps stay where they are.
+
+    Args:
+        y: (N,) evenly sampled.
+        step: least significant bit of its converter, 0 if it looks continuous.
+        sd: standard deviation of all its noise, if known.
+    """
+    if sd is None:
+        sd = float(np.hypot(noise_sd(y, step), step / np.sqrt(12)))
     if sd <= 0 or len(y) < 2 * WINDOWS[4]:
         return y.copy()
     right, right_variance = _one_sided(y, sd)

@@ -7,17 +7,20 @@ the way.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
-from motorlens_physics.estimate.innovations import Sums, disturbances, innovations, sums
-from motorlens_physics.estimate.model import Model, error_of, sensitivities_of
+from motorlens_physics.estimate.innovations import StateSpace, Sums, disturbances, innovations, sums
+from motorlens_physics.estimate.model import Model, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise, lasting, likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.signals import smoothed
 from motorlens_physics.sensitivity import Linearisation
 from motorlens_physics.threads import on_all_cores
 
@@ -31,8 +34,34 @@ BLOCKS, LEAST_BLOCKS = 64, 8
 ROUNDS = 20
 # The fit ends this close to the minimum, in standard deviations of the result.
 ENOUGH = 0.05
+# How often a parameter more may be taken for real where there is none.
+CHANCE = 0.01
 # Close enough to look at how the inputs ran, and at outliers: what a step changes is then noise.
 CLOSE = 1.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A linearised motor through which the noise of the inputs is taken to reach the channels.
+
+    Errors that are to be compared must hold the same noise. Were that of the inputs to go through each trial's own motor, a
+    motor that responds less would have less of it, and be preferred.
+
+    Attributes:
+        model: the motor.
+        run: with the corrected inputs, as they ran.
+        r: its position.
+        linear: the motor linearised along them.
+    """
+
+    model: Model
+    run: Run
+    r: int
+    linear: Linearisation
+
+    def error(self, difference: Array) -> Array:
+        """(N, C) beside the inputs as recorded, from that beside the corrected ones."""
+        return error_of(self.model, self.run, self.r, difference, self.linear)
 
 
 @dataclass(frozen=True)
@@ -41,30 +70,41 @@ class Errors:
 
     Attributes:
         run: with its corrected inputs.
-        error: (N, C) beside the inputs as recorded.
-        columns: (N, C, k) sensitivities along the corrected inputs, for the parameters that concern this run.
+        difference: (N, C) measured less shown along the corrected inputs.
+        columns: (N, C, k) sensitivities along them, for the parameters that concern this run.
         mine: (k,) their positions.
-        linear: the linearised motor.
+        frame: the motor linearised along them.
         noise: of the run.
         used: (N, C) samples that count.
+        error: (N, C) beside the inputs as recorded.
     """
 
     run: Run
-    error: Array
+    difference: Array
     columns: Array
     mine: tuple[int, ...]
-    linear: Linearisation
+    frame: Frame
     noise: Noise
     used: NDArray[np.bool_]
+    error: Array
+
+    @property
+    def linear(self) -> Linearisation:
+        """The linearised motor."""
+        return self.frame.linear
+
+    @property
+    def space(self) -> StateSpace:
+        """Of its errors."""
+        return self.noise.space(self.frame.run, self.frame.linear, self.used)
 
     def sums(self, blocks: int) -> Sums:
         """Of white sensitivities and errors."""
-        return sums(self.noise.space(self.run, self.linear, self.used), self.columns, self.error, blocks)
+        return sums(self.space, self.columns, self.error, blocks)
 
     def squares(self) -> float:
         """Of white errors alone."""
-        space = self.noise.space(self.run, self.linear, self.used)
-        return float(np.sum(innovations(space, self.error[:, :, None]).white ** 2))
+        return float(np.sum(innovations(self.space, self.error[:, :, None]).white ** 2))
 
     def with_noise(self, updates: int, *, outliers: bool) -> "Errors":
         """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
@@ -75,8 +115,12 @@ class Errors:
         if outliers:
             used = used & (np.abs(filtered.white[:, :, 0]) <= OUTLIER)
         seen, _, _ = disturbances(space, filtered)
+        shown = np.column_stack([self.run.inputs.voltage_V, self.run.inputs.load_torque_Nm])
         # A load brakes: what the torque balance got too little, the load sensor showed too much.
-        corrections = np.column_stack([seen[:, VOLTAGE], -seen[:, LOAD]])
+        expected = shown + np.column_stack([seen[:, VOLTAGE], -seen[:, LOAD]])
+        spread = np.sqrt(noise.disturbances[[VOLTAGE, LOAD]]).tolist()
+        acted = np.column_stack([smoothed(u, sd=sd) for u, sd in zip(expected.T, spread, strict=True)])
+        corrections = acted - shown
         if self.run.inputs.terminal is not None:
             # Shorted terminals have no voltage to be measured wrongly.
             corrections[self.run.inputs.terminal != Terminal.DRIVEN, 0] = 0.0
@@ -96,6 +140,11 @@ class Weighed:
     def runs(self) -> tuple[Run, ...]:
         """With their corrected inputs."""
         return tuple(part.run for part in self.parts)
+
+    @property
+    def frames(self) -> list[Frame]:
+        """In which other points are compared with this one."""
+        return [replace(part.frame, run=part.run) for part in self.parts]
 
     @cached_property
     def sums(self) -> list[Sums]:
@@ -156,8 +205,8 @@ def weighed(model: Model, runs: Sequence[Run], noises: Sequence[Noise], used: Se
         run = runs[r].holding(model.held[r])
         mine = tuple(k for k, key in enumerate(keys) if "@" not in key or key.endswith(f"@{r}"))
         _, shown, columns, linear = sensitivities_of(model, run, r, [keys[k] for k in mine])
-        error = error_of(model, run, r, run.measured - shown, linear)
-        return Errors(run, error, columns, mine, linear, noises[r], used[r])
+        difference, frame = run.measured - shown, Frame(model, run, r, linear)
+        return Errors(run, difference, columns, mine, frame, noises[r], used[r], frame.error(difference))
 
     return Weighed(model, tuple(on_all_cores(one, range(len(runs)))), len(keys))
 
@@ -203,18 +252,44 @@ def minimised(
         latest[0] = noisier(here, next(updates, BRIEFLY), outliers=outliers)
         return latest[0]
 
-    return minimise(
+    end, gram, left = minimise(
         point, prior, lambda model: at(model, latest[0], prior), rounds=ROUNDS,
         enough=ENOUGH if outliers else CLOSE, between=between, progress=progress,
     )  # fmt: skip
+    return end, gram, left
 
 
-def unlikely(point: Weighed, prior: Prior) -> float:
-    """Twice the negative logarithmic likelihood of a point, priors included."""
-    parts = (
-        likelier(part.noise, part.run, part.linear, part.error, part.used, BRIEFLY)[1] for part in point.parts
-    )
-    return sum(parts) + prior.penalty(point.model.values())
+def needed(tried: int) -> float:
+    """What `gained` must exceed for one parameter more: the level of `CHANCE` for the best of so many that were tried."""
+    return float(chi2.isf(CHANCE / tried, 1))
+
+
+def gained(point: Weighed, other: Weighed, prior: Prior) -> float:
+    """Twice the gain in logarithmic likelihood from one point to another of the same runs, channels moved or not.
+
+    Both are looked at in the frames and with the noise of the first, at the samples that both have, and a gain counts as
+    much less as blocks of time scatter more than noise says.
+    """
+    won = prior.penalty(point.model.values()) - prior.penalty(other.model.values())
+    for r, (a, frame) in enumerate(zip(point.parts, point.frames, strict=True)):
+        run = replace(other.parts[r].run, corrections=a.run.corrections).holding(other.model.held[r])
+        moved = tuple(run.late.get(c, 0) - a.run.late.get(c, 0) for c in run.channels)
+        _, shown = predict(other.model, run, r)
+        here = replace(a, frame=frame, used=a.run.there & moved_on(run.there, moved))
+        there = replace(here, error=frame.error(moved_on(run.measured - shown, moved)))
+        won += here.squares() - there.squares()
+    return won / point.tempered().inflation
+
+
+def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
+    """(N, C, ...) with each channel moved later by some samples; what comes in at an end is 0."""
+    if not any(samples):
+        return y
+    out = np.zeros_like(y)
+    for c, lag in enumerate(samples):
+        first, last = max(lag, 0), len(y) + min(lag, 0)
+        out[first:last, c] = y[first - lag : last - lag, c]
+    return out
 
 
 def first_point(model: Model, runs: Sequence[Run], keys: Sequence[str]) -> Weighed:
@@ -229,3 +304,13 @@ def first_point(model: Model, runs: Sequence[Run], keys: Sequence[str]) -> Weigh
 def begun(model: Model, runs: Sequence[Run], prior: Prior) -> Weighed:
     """A first point, with its noise found, along inputs corrected by it."""
     return at(model, noisier(first_point(model, runs, prior.keys), AT_FIRST, lasting_too=True), prior)
+
+
+def from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise | None], prior: Prior) -> Weighed:
+    """A point with noise that was found before."""
+    point = first_point(model, runs, prior.keys)
+    parts = [
+        part if known is None else replace(part, noise=part.noise.like(known))
+        for part, known in zip(point.parts, noises, strict=True)
+    ]
+    return replace(point, parts=tuple(parts))

@@ -1,0 +1,113 @@
+"""How a recording is timed: how its inputs ran between its samples, and which of its channels are late.
+
+`between_samples` and `delays` see from one point what another timing seems to win. Here each is fitted in full, and stays
+only where that holds.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from motorlens_physics.estimate.between_samples import as_they_ran
+from motorlens_physics.estimate.delays import likeliest_lag, nearer, realigned
+from motorlens_physics.estimate.fit import NEAR, fit
+from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.pieces import as_found, cut, starting_as
+from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.weighed import (
+    Weighed,
+    at,
+    begun,
+    from_noise,
+    gained,
+    minimised,
+    needed,
+    noisier,
+)
+
+# How often channels that are late are looked for again.
+REALIGNED = 4
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What is needed to look for another timing of runs.
+
+    Attributes:
+        begin: the model as it is before anything is known.
+        wide: the same, of the pieces that delays are looked for in.
+        longer: these pieces.
+        prior: of the runs.
+        progress: told what goes on.
+    """
+
+    begin: Model
+    wide: Model
+    longer: Sequence[Run]
+    prior: Prior
+    progress: Callable[[str], None]
+
+    @property
+    def straight(self) -> Prior:
+        """Without skews, which would make up for inputs that ran otherwise between their samples."""
+        return self.prior.only([key for key in self.prior.keys if not key.startswith("skew.")])
+
+    def near(self, model: Model, runs: Sequence[Run]) -> Weighed:
+        """The point near the best parameters of runs, from a model."""
+        runs = [replace(run, corrections=None) for run in runs]
+        rough = fit(model, runs, self.straight, rounds=NEAR, enough=1.0)
+        return self._minimised(begun(rough.model, runs, self.prior))
+
+    def likeliest(self, point: Weighed, *, free: bool) -> Weighed:
+        """The point with the likeliest timing; how inputs ran stays as it is unless it is `free`."""
+        point = self._as_they_ran(point) if free else point
+        for _ in range(REALIGNED):
+            late = self._later(point)
+            if late is point:
+                break
+            point = self._as_they_ran(late) if free else late
+        for _ in range(REALIGNED):
+            other = realigned(point, self.prior)
+            if other is point:
+                break
+            other = self._minimised(other)
+            if gained(point, other, self.prior) < needed(1):
+                break
+            point = other
+        return point
+
+    def _as_they_ran(self, point: Weighed) -> Weighed:
+        runs = as_they_ran(point, self.prior)
+        if all(one is run for one, run in zip(runs, point.runs, strict=True)):
+            return point
+        # Parameters fitted to inputs that ran otherwise have made up for it.
+        none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
+        held = tuple(run.inputs.hold for run in runs)
+        other = self.near(replace(point.model.with_values(none), held=held), runs)
+        late = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
+        return other if gained(point, other, self.prior) > (needed(1) if late else 0.0) else point
+
+    def _later(self, point: Weighed) -> Weighed:
+        """With the channel moved that is late beyond chance, if any is."""
+        few, seen = cut(self.longer, point.runs), point
+        if any(few):
+            longer = [as_found(run, piece) for run, piece in zip(self.longer, point.runs, strict=True)]
+            noises = [part.noise for part in point.parts]
+            seen = from_noise(starting_as(point.model, self.wide, few), longer, noises, self.prior)
+            seen = at(seen.model, noisier(seen, 0), self.prior)
+        lag = likeliest_lag(seen, self.prior)
+        if lag is None:
+            return point
+        runs = tuple(
+            replace(run.delayed(lag.channel, lag.samples) if r == lag.r else run, corrections=None)
+            for r, run in enumerate(point.runs)
+        )
+        # What is late has bent the fit: it begins anew without it, and where that ends must hold the promise.
+        start = replace(self.begin, held=point.model.held)
+        runs, rough = nearer(runs, fit(start, runs, self.straight, rounds=NEAR, enough=1.0), self.straight)
+        other = self._minimised(begun(rough.model, runs, self.prior))
+        return other if gained(point, other, self.prior) > needed(lag.tried) else point
+
+    def _minimised(self, point: Weighed) -> Weighed:
+        # While parameters are wrong, a large error is theirs, and every sample counts.
+        return minimised(point, self.prior, self.progress, outliers=False)[0]
