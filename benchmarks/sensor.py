@@ -5,6 +5,8 @@
     python benchmarks/sensor.py --quick         all rows, trained on little
     python benchmarks/sensor.py worlds --count 400 --seed 1 [--cell noise=2-4] [SENSOR.onnx ...]
                                                 sensor files (the shipped ones) in worlds they were not made in
+    python benchmarks/sensor.py changes [--drives 12] [--day] [SENSOR.onnx ...]
+                                                noise that jumps, a voltage scale that is off, a day at constant load
 
 Errors count from one second after the first voltage step. Every start temperature is unknown to every method. The bound's
 genie is told when and by how much the load jumps; no estimator knows that. The paper's row alone is judged by the largest
@@ -17,6 +19,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from sensor_rows.changes import changes
 from sensor_rows.common import ROOT, Size
 from sensor_rows.motor import ambient, hot_restart, paper, unseen
 from sensor_rows.others import brush, magnet, node, tolerance
@@ -44,9 +47,23 @@ def _worlds(arguments: list[str]) -> int:
     return int(any(wrong))
 
 
+def _changes(arguments: list[str]) -> int:
+    """`changes`: what becomes of a sensor file's intervals when the drive changes; 1 where one is confidently wrong."""
+    parser = argparse.ArgumentParser(prog="sensor.py changes", description=_changes.__doc__)
+    parser.add_argument("sensors", nargs="*", type=Path, metavar="SENSOR.onnx")
+    parser.add_argument("--drives", type=int, default=12, help="of each row")
+    parser.add_argument("--day", action="store_true", help="24 h at constant load as well")
+    chosen = parser.parse_args(arguments)
+    shipped = [ROOT / "models" / "sensors" / "mellah2016_observer.onnx"]
+    wrong = [changes(path, chosen.drives, chosen.day) for path in chosen.sensors or shipped]
+    return int(any(wrong))
+
+
 def main() -> int:
     if sys.argv[1:2] == ["worlds"]:
         return _worlds(sys.argv[2:])
+    if sys.argv[1:2] == ["changes"]:
+        return _changes(sys.argv[2:])
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
