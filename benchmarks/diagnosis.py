@@ -87,7 +87,7 @@ def diagnosed(paths: list[Path], motor: Path, cache: Path) -> Timing:
     if process.returncode:
         raise SystemExit("".join(line for _, line in stamps))
     begins = [at for at, _ in stamps] + [whole]
-    screen = next(k for k, (_, line) in enumerate(stamps) if "screening all" in line)
+    screen = next(k for k, (_, line) in enumerate(stamps) if "weighing every" in line)
     processor = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - spent
     return Timing(
         json.loads(told.read_text(encoding="utf-8"))["verdict"],

@@ -389,13 +389,13 @@ def whiteness(paths: list[Path], motor: Path, lags: int = 25) -> dict[str, Any]:
     from motorlens_physics.estimate.run import prepare_all
     from motorlens_physics.motor_file import read_motor_file
     from motorlens_physics.recording import read_recording
-    from motorlens_workbench.diagnosis import base_fit
+    from motorlens_workbench.diagnose import base_fit
 
     file = read_motor_file(str(motor))
     runs = prepare_all([read_recording(str(path)) for path in sorted(paths)], file)
-    found, runs = base_fit(file, runs)
+    found = base_fit(file, runs)
     tests = []
-    for run, residual in zip(runs, found.residuals, strict=True):
+    for run, residual in zip(found.runs, found.fit.residuals, strict=True):
         for channel, e in zip(run.channels, residual.T, strict=True):
             n, e = len(e), e - e.mean()
             r = np.array([e[:-k] @ e[k:] for k in range(1, lags + 1)]) / (e @ e)

@@ -62,8 +62,8 @@ def test_the_resistance_of_the_wheel_motors_is_recovered(wheels: Calibration) ->
 
 
 def test_the_constant_of_the_wheel_motors_is_recovered(wheels: Calibration) -> None:
-    # Documented 0.0105 V s/rad; the scale of the voltage is the scale of ke.
-    assert abs(wheels.value["ke"] - 0.0105) < 2 * wheels.sd["ke"]
+    # Documented 0.0105 V s/rad, known to half of its last digit; the scale of the voltage is the scale of ke.
+    assert abs(wheels.value["ke"] - 0.0105) < 2 * wheels.sd["ke"] + 0.00005
     assert wheels.sd["ke"] < 0.001
     assert "voltage_sensor_gain.gain" in wheels.unidentified
 

@@ -12,9 +12,9 @@ from motorlens_physics.estimate.model import predict
 from motorlens_physics.estimate.run import largest_offset, prepare, prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.candidates import candidates
-from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.look import look
+from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.hypotheses.sensors import sensors
+from motorlens_workbench.standing import stand
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -54,12 +54,14 @@ def wheel(offset: float) -> Recording:
 @pytest.mark.fit
 def test_an_offset_that_the_rest_forbids_is_no_candidate():
     file = read_motor_file(MOTOR)
-    used, runs = base_fit(file, [prepare(wheel(4.0), file)])
-    seen = look(used, runs).tests["speed_sensor_offset"]
-    assert seen.score is not None and seen.score.statistic > 26
-    assert seen.candidate.most == pytest.approx(2.0) and not seen.allowed and seen.statistic == 0
-    free = {c.name: c for c in candidates(file, ["speed"], ["voltage"])}
-    assert free["speed_sensor_offset"].most == np.inf
+    base = base_fit(file, [prepare(wheel(4.0), file)])
+    here = stand(fitted_of(base))
+    seen = [score for score in here.scores if score.name == "speed_sensor_offset"]
+    assert seen and seen[0].weight > 20 and not seen[0].possible
+    assert "speed_sensor_offset" not in here.best()
+    free = {one.name: one for one in sensors(file, [replace(run, offset_below={}) for run in base.runs])}
+    low, high = free["speed_sensor_offset"].shapes[0].limits()
+    assert low < -1e3 and high > 1e3
 
 
 def test_cogging_is_looked_for_where_the_angle_is_known():

@@ -20,10 +20,9 @@ from motorlens_physics.ops import cos, exp
 from motorlens_physics.parameter import param
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.candidates import shaped
-from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.leftover import leftover
-from motorlens_workbench.look import look
+from motorlens_workbench.contest import contest
+from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.hypotheses.curves import Curve
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -54,7 +53,7 @@ def test_a_lag_driven_by_the_samples_answers_as_to_the_phasor(lag, advance, held
 def turning():
     """20 s at 500 Hz of a motor with a ripple of 3 %, and the file that lacks it and is 3 % off in ke and R."""
     file = read_motor_file(MOTOR)
-    ripple = shaped(catalogue()["commutation_ripple"].typical(file.rated), eps=0.03, N=4.0, p=0.7)
+    ripple = replace(catalogue()["commutation_ripple"].typical(file.rated), eps=0.03, N=4.0, p=0.7)
     time = np.arange(10_000) * 0.002
     rng = np.random.default_rng(0)
     voltage = np.repeat(rng.uniform(0.3, 0.6, 20), 500) * file.rated.voltage_V
@@ -106,7 +105,7 @@ def test_detents_faster_than_the_samples_leave_no_torque_behind():
     inputs = Inputs(
         time, fast * (1 + 0.3 * np.sin(2 * np.pi * time / 5)), np.zeros(len(time)), np.full(len(time), 20.0)
     )
-    detents = shaped(catalogue()["cogging_torque"].typical(file.rated), A=0.5, N=24.0)
+    detents = replace(catalogue()["cogging_torque"].typical(file.rated), A=0.5, N=24.0)
     true = simulate(file.motor.with_effect(detents), inputs)
     channels = {"voltage": inputs.voltage_V, "speed": true.speed_rad_s, "angle": true.states["phi"]}
     run = prepare_all([Recording("sweep", time, channels)], file)[0]
@@ -161,14 +160,17 @@ def test_a_rub_at_one_angle_is_drawn_against_the_angle():
         "current": true.current_A + 0.01 * rng.standard_normal(len(time)),
         "speed": true.speed_rad_s + 0.1 * rng.standard_normal(len(time)),
     }  # fmt: skip
-    found, runs = base_fit(file, prepare_all([Recording("rub", time, channels)], file))
-    now = look(found, runs)
-    bend = next(bend for bend in leftover(now.found, runs, now.decoy) if bend.curve.against == "angle")
-    course = bend.value - np.median(bend.value)
+    outcome = contest(fitted_of(base_fit(file, prepare_all([Recording("rub", time, channels)], file))))
+    term = outcome.unnamed
+    assert term is not None
+    shape = term.entry.shape
+    assert isinstance(shape, Curve) and shape.against == "angle"
+    knots, value, _ = shape.values(term.coefficient, term.covariance)
+    course = value - np.median(value)
     # Its mean over a revolution passes for friction; the pit at 2 rad is 0.4 N m deep.
-    assert abs(bend.knots[np.argmin(course)] - 2.0) < 0.3
+    assert abs(knots[np.argmin(course)] - 2.0) < 0.3
     assert -0.5 < course.min() < -0.3
-    away = np.abs(bend.knots - 2.0) > 1.2
+    away = np.abs(knots - 2.0) > 1.2
     assert np.abs(course[away]).max() < 0.1
 
 

@@ -6,9 +6,9 @@ from helpers.changing import MOTOR, drive
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.changes import Change
-from motorlens_workbench.diagnosis import investigate
-from motorlens_workbench.diagnosis_json import sentence
+from motorlens_workbench.diagnose import diagnose
+from motorlens_workbench.hypotheses.changes import Change
+from motorlens_workbench.report.json import sentence
 from motorlens_workbench.verdict import settle
 
 DT, N = 0.002, 8000
@@ -26,7 +26,7 @@ def diagnosed(**shares):
         "current": current + 0.05 * rng.standard_normal(N),
         "speed": speed + 0.5 * rng.standard_normal(N),
     }
-    found = investigate(read_motor_file(MOTOR), (Recording("bench", TIME, channels),))
+    found = diagnose(read_motor_file(MOTOR), (Recording("bench", TIME, channels),))
     return found, settle(found)
 
 
@@ -35,16 +35,16 @@ def diagnosed(**shares):
     ("shares", "parameter", "at_s", "by"),
     [
         ({"flux": np.where(TIME > 6.0, 0.98, 1.0)}, "ke", 6.0, -0.02),
-        ({"resistance": np.where(TIME > 10.0, 1.08, 1.0)}, "R_a0", 10.0, 0.08),
+        ({"resistance": np.where(TIME > 10.0, 1.04, 1.0)}, "R_a0", 10.0, 0.04),
     ],
 )
 def test_a_change_at_once_is_unknown_and_dated(shares, parameter, at_s, by):
     found, verdict = diagnosed(**shares)
     assert verdict.kind == "unknown"
-    change = verdict.shape.curve
+    change = verdict.shape.entry.shape
     assert isinstance(change, Change)
-    assert change.parameter == parameter
-    assert change.by == pytest.approx(by, rel=0.15)
+    assert change.term == parameter
+    assert change.by(float(verdict.shape.coefficient[0])) == pytest.approx(by, rel=0.15)
     assert change.at_s == pytest.approx(at_s, abs=0.4)
     assert f"{parameter} changes at once" in sentence(found, verdict)
 
@@ -53,4 +53,4 @@ def test_a_change_at_once_is_unknown_and_dated(shares, parameter, at_s, by):
 def test_a_constant_motor_is_adequate():
     found, verdict = diagnosed()
     assert verdict.kind == "adequate"
-    assert not found.left
+    assert found.outcome.unnamed is None

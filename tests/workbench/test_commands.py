@@ -9,7 +9,7 @@ from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.diagnosis import base_fit
+from motorlens_workbench.diagnose import base_fit
 
 # Its motor file says that the voltage is a command.
 WHEEL = Path(__file__).resolve().parents[2] / "examples/hidden_effect/regbot.toml"
@@ -36,7 +36,7 @@ def logged(late: int) -> Recording:
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_command_that_acts_late_is_found_and_the_inductance_does_not_make_up_for_it(late):
     file = read_motor_file(WHEEL)
-    found, (run,) = base_fit(file, [prepare(logged(late), file)])
-    assert dict(run.late) == ({"current": 1, "speed": 1} if late else {})
-    assert found.model.held == ((True, False, False),)
-    assert found.model.file.motor.L == pytest.approx(0.0066, rel=0.03)
+    found = base_fit(file, [prepare(logged(late), file)])
+    assert dict(found.runs[0].late) == ({"current": 1, "speed": 1} if late else {})
+    assert found.fit.model.held == ((True, False, False),)
+    assert found.fit.model.file.motor.L == pytest.approx(0.0066, rel=0.03)

@@ -5,12 +5,12 @@ import pytest
 from helpers.changing import MOTOR, drive, textbook
 
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.model import predict
 from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.contacts import Spells, loose_contact, robust
-from motorlens_workbench.diagnosis import base_fit
+from motorlens_workbench.diagnose import base_fit
+from motorlens_workbench.hypotheses.contact import contacts, robust
+from motorlens_workbench.hypotheses.line import Line
 
 DT, N = 0.002, 8000
 
@@ -39,21 +39,19 @@ def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
         "speed": speed + 0.5 * noise * rng.standard_normal(N),
     }
     file = read_motor_file(MOTOR)
-    found, runs = base_fit(file, (prepare(Recording("bench", np.arange(N) * DT, channels), file),))
-    return loose_contact(found.model, runs, [predict(found.model, run, r) for r, run in enumerate(runs)])
+    found = base_fit(file, (prepare(Recording("bench", np.arange(N) * DT, channels), file),))
+    return contacts([Line.of(found.fit.model, found.runs[0], 0, found.fit.prior.keys)])
 
 
 @pytest.mark.fit
 @pytest.mark.parametrize(("more", "share"), [(0.3, 0.15), (1.0, 0.08)])
 def test_spells_are_found_with_their_size_and_share(more, share):
     bad = spells(np.random.default_rng(1), share)
-    bend = contact(1.0 + more * bad)
-    assert bend is not None
-    assert isinstance(bend.curve, Spells)
-    assert bend.curve.by == pytest.approx(more * textbook()["R_a0"], rel=0.3)
-    assert bend.curve.share == pytest.approx(bad.mean(), rel=0.5)
+    ((shape,),) = [one.shapes for one in contact(1.0 + more * bad)]
+    assert shape.by == pytest.approx(more * textbook()["R_a0"], rel=0.3)
+    assert shape.share == pytest.approx(bad.mean(), rel=0.5)
     # It is shown as it is: either bad or good.
-    shown = bend.value / (more * textbook()["R_a0"])
+    shown = shape.shown[1] / (more * textbook()["R_a0"])
     assert np.mean((shown > 0.25) & (shown < 0.6)) < 0.25
 
 
@@ -74,7 +72,7 @@ def test_spells_are_found_with_their_size_and_share(more, share):
     ],
 )
 def test_what_is_no_contact_is_not_called_one(shares):
-    assert contact(**shares) is None
+    assert contact(**shares) == []
 
 
 @pytest.mark.parametrize("samples", [60, 200])
@@ -82,9 +80,8 @@ def test_a_run_too_short_says_nothing(samples):
     time = np.arange(samples) * DT
     channels = {name: np.sin(20 * time) for name in ("voltage", "current", "speed")}
     file = read_motor_file(MOTOR)
-    runs = [prepare(Recording("short", time, channels), file)]
-    model = start_model(file, runs)
-    assert loose_contact(model, runs, [predict(model, runs[0], 0)]) is None
+    run = prepare(Recording("short", time, channels), file)
+    assert contacts([Line.of(start_model(file, [run]), run, 0, ())]) == []
 
 
 def test_a_robust_fit_ignores_what_stands_out():

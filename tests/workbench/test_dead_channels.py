@@ -11,7 +11,7 @@ from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.dead_channels import dead_channels, without
+from motorlens_workbench.hypotheses.dead_channels import dead_channels, without
 
 MELLAH = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "hidden_effect" / "regbot.toml"

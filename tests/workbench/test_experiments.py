@@ -11,7 +11,7 @@ from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import sensor_catalogue
-from motorlens_workbench.diagnosis import Finding, investigate
+from motorlens_workbench.diagnose import Finding, diagnose
 from motorlens_workbench.experiments import Experiment, propose
 from motorlens_workbench.verdict import Verdict, settle
 
@@ -52,20 +52,20 @@ def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_of
     """At every load the two are one; on a bare shaft the torque stays and the sensor is gone."""
     hidden = {"torque": 0.3} if guilty == "constant_torque" else {"faults": {"offset": 0.3}}
     first = recorded("load_steps", 30.0, **hidden)
-    verdict, experiment = proposed(investigate(rough, [first]))
+    verdict, experiment = proposed(diagnose(rough, [first]))
     assert set(verdict.groups[0]) == TWINS
     assert experiment is not None and experiment.bare and experiment.test
     assert "torque sensor taken off" in experiment.why
     second = recorded(experiment.test, experiment.seconds, **hidden)
     bare = {q: y for q, y in second.channels.items() if q != "load_torque"}
-    after = settle(investigate(rough, [first, replace(second, channels=bare)]))
+    after = settle(diagnose(rough, [first, replace(second, channels=bare)]))
     assert after.groups == ((guilty,),)
 
 
 @pytest.mark.fit
 def test_no_run_tells_one_wrong_scale_from_another(rough):
     """Torque over current, voltage over speed: four scales in one ratio (ke), whatever the motor does."""
-    verdict, experiment = proposed(investigate(rough, [recorded("load_steps", 30.0, faults={"gain": 1.1})]))
+    verdict, experiment = proposed(diagnose(rough, [recorded("load_steps", 30.0, faults={"gain": 1.1})]))
     assert "load_torque_sensor_gain" in verdict.groups[0] and len(verdict.groups[0]) >= 4
     assert experiment is not None and not experiment.test
     assert {"current", "voltage", "speed", "load_torque"} <= set(experiment.check)

@@ -20,9 +20,9 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import TimeConstants, time_constants
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_workbench.balances import EQUATIONS, missing_of
-from motorlens_workbench.curves import curves
+from motorlens_workbench.hypotheses.curves import free_curves
+from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.long_recordings import PART, beside, block, is_long, means
-from motorlens_workbench.screen import Line
 
 Array = NDArray[np.float64]
 
@@ -193,8 +193,8 @@ def _equations(
 def _line(model: Model, r: int, recording: Recording, overlay: Overlay) -> Line:
     """The linear problem of a recording, along the means of its blocks if it is long."""
     if not is_long(recording):
-        return Line.of(model, overlay.run, r)
-    return Line.of(model, replace(prepare(means(recording), model.file), turns=overlay.run.turns), r)
+        return Line.of(model, overlay.run, r, ())
+    return Line.of(model, replace(prepare(means(recording), model.file), turns=overlay.run.turns), r, ())
 
 
 def _removable(
@@ -215,7 +215,7 @@ def _removable(
         _line(model, r, recording, o)
         for r, (recording, o) in enumerate(zip(recordings, overlays, strict=True))
     ]
-    free = curves([line.trajectory for line in lines], [_BALANCE[name] for name in names])
+    free = free_curves([line.trajectory for line in lines], [_BALANCE[name] for name in names])
     if not free:
         return {}
     owner = np.array(
@@ -227,9 +227,8 @@ def _removable(
         size = block(recording) * rows.every
         sigma = overlay.noise / np.sqrt(size)
         kept = rows.fresh()
-        columns = (
-            np.concatenate([line.of_curve(curve) for curve in free], axis=2)[kept] / sigma[None, :, None]
-        )
+        shown = [rows.average(curve.columns(line)) for curve in free]
+        columns = np.concatenate(shown, axis=2)[kept] / sigma[None, :, None]
         error = replace(overlay.run, every=size).average(overlay.error)[kept] / sigma
         flat = columns.reshape(-1, len(owner))
         gram += flat.T @ flat

@@ -19,17 +19,19 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import STATE_OF, Run, prepare
-from motorlens_physics.estimate.whitening import white
 from motorlens_physics.scenario import perform, scenarios
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import MotorlensError
-from motorlens_workbench.candidates import Candidate, candidates
-from motorlens_workbench.diagnosis import Finding
-from motorlens_workbench.evidence import _inverse
-from motorlens_workbench.look import noise_floor
-from motorlens_workbench.screen import columns_of
-from motorlens_workbench.steps import Step
-from motorlens_workbench.verdict import IMPERFECT, Verdict
+from motorlens_workbench.contest import Accepted, own_score
+from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.diagnose import Finding
+from motorlens_workbench.evidence.held_out import pooled_floor
+from motorlens_workbench.evidence.ledger import common, inverse
+from motorlens_workbench.hypotheses.effects import effects
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+from motorlens_workbench.hypotheses.line import Line
+from motorlens_workbench.hypotheses.sensors import sensors
+from motorlens_workbench.verdict import Verdict
 
 Array = NDArray[np.float64]
 
@@ -74,43 +76,60 @@ class _Question:
 
     Attributes:
         found: the finding.
-        step: by which the first of the group was accepted.
+        accepted: the first of the group.
         rivals: the others, which the final model does not hold.
         keys: parameters of the final model that all recordings share; columns are per standard deviation of their prior.
-        labels: columns of the rivals.
-        gram: (k + l, k + l) products of whitened columns, keys and labels, what each run has of its own projected out.
+        labels: columns of the rivals: their position among the shapes, and within the shape.
+        gram: (k + l, k + l) products of white columns, keys and labels, what each run has of its own projected out.
+        scatter: between blocks of time, over that of white noise.
     """
 
     found: Finding
-    step: Step
-    rivals: tuple[Candidate, ...]
+    accepted: Accepted
+    rivals: tuple[Hypothesis, ...]
     keys: tuple[str, ...]
     labels: tuple[str, ...]
     gram: Array
+    scatter: float
 
     @classmethod
     def of(cls, found: Finding, group: Sequence[str]) -> "_Question":
         """What tells a group apart so far."""
-        step = next(step for step in found.steps if step.test.candidate.name == group[0])
-        fitted = found.last.found
-        every = candidates(fitted.model.file, tuple(STATE_OF), ("voltage", "load_torque"))
-        rivals = tuple(candidate for candidate in every if candidate.name in group)
-        labels = tuple(label for rival in rivals for labels in rival.columns() for label in labels)
-        keys = tuple(key for key in fitted.prior.keys if "@" not in key)
-        left = found.last.evidence.given([key for key in fitted.prior.keys if "@" in key])
-        at = left.index([*keys, *labels])
-        return cls(found, step, rivals, keys, labels, left.total[np.ix_(at, at)])
+        last = found.outcome.last
+        accepted = next(one for one in found.outcome.accepted if one.hypothesis.name == group[0])
+        fitted = last.fitted
+        every = [*effects(fitted.model.file), *sensors(fitted.model.file, [line.run for line in last.lines])]
+        rivals = tuple(one for one in every if one.name in group)
+        shapes = [shape for rival in rivals for shape in rival.shapes]
+        labels = tuple(label for rival in rivals for labels in _labels(rival) for label in labels)
+        noises = [run.noise for run in fitted.runs if run.noise is not None]
+        prior = fitted.prior
+        gram = common(last.lines, noises, prior, shapes)
+        gram[: len(prior.keys), : len(prior.keys)] += np.eye(len(prior.keys))
+        own = [k for k, key in enumerate(prior.keys) if "@" in key]
+        keys = [k for k, key in enumerate(prior.keys) if "@" not in key]
+        rest = [*keys, *range(len(prior.keys), len(gram))]
+        seen = own_score(last.book, last.fitted, accepted.hypothesis)
+        scatter = seen.scatter if seen else accepted.scatter
+        return cls(
+            found,
+            accepted,
+            rivals,
+            tuple(prior.keys[k] for k in keys),
+            labels,
+            _given(gram, own, rest),
+            scatter,
+        )
 
     @property
     def winner(self) -> str:
         """The one that was accepted."""
-        return self.step.test.candidate.name
+        return self.accepted.hypothesis.name
 
-    @property
-    def inflation(self) -> float:
-        """Scatter between blocks of time over that of white noise."""
-        assert self.step.test.score is not None
-        return self.step.test.score.inflation
+
+def _labels(rival: Hypothesis) -> list[list[str]]:
+    """Names of the columns of every shape of a rival."""
+    return [[f"{rival.name}#{s}.{k}" for k in range(shape.width)] for s, shape in enumerate(rival.shapes)]
 
 
 def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Experiment | None:
@@ -178,7 +197,8 @@ def _channel_of(name: str) -> str:
 
 def _floor(found: Finding, measured: Sequence[str]) -> dict[str, float]:
     """Standard deviation of the noise of every output that will be measured."""
-    floor, rated = noise_floor(found.last, found.runs), found.base.model.file.rated
+    last = found.outcome.last.fitted
+    floor, rated = pooled_floor(last.model, last.runs), last.model.file.rated
     return {c: floor.get(c, NEW_SENSOR * rated.scale(RATED_OF_CHANNEL[c])) for c in measured}
 
 
@@ -197,7 +217,7 @@ def _needed(
     said, _ = _apart(asked, asked.gram)
     for times in np.geomspace(1.0, longest / seconds, 12):
         apart, worth = _apart(asked, asked.gram + times * new)
-        if apart - said > SETTLED * asked.inflation + CLEAR * IMPERFECT * worth:
+        if apart - said > SETTLED * asked.scatter + CLEAR * CRITERIA.alike * worth:
             return max(float(seconds * times), SHORTEST_S)
     return None
 
@@ -210,7 +230,7 @@ def _of_scenario(
     Raises:
         ValueError: it puts a load on the shaft that nobody would measure, and that would pass for friction.
     """
-    fitted = asked.found.last.found
+    fitted = asked.found.outcome.last.fitted
     file = fitted.model.file
     recording = perform(replace(file, sensors=()), scenarios()[name](), rng)
     if "load_torque" not in shown and recording.channels["load_torque"].any():
@@ -220,23 +240,21 @@ def _of_scenario(
     model = start_model(file, [run])
     own = {key: width for key, width in base_prior(file, [run]).sd.items() if "@" in key}
     keys = [*own, *asked.keys]
-    columns = columns_of(model, run, 0, keys, {**fitted.prior.sd, **own}, asked.rivals, (), with_decoys=False)
-    # Noise per averaged row, as the recordings had it per row, at their rate or at what the test asks for.
-    whitener = white(np.array([floor[channel] for channel in run.channels]))
-    z = whitener(columns.values).reshape(-1, columns.values.shape[2])
-    gram = z.T @ z * _rate(asked.found, run)
+    units = np.array([{**fitted.prior.sd, **own}[key] for key in keys])
+    line = Line.of(model, run, 0, keys)
+    columns = [line.own * units, *(shape.columns(line) for rival in asked.rivals for shape in rival.shapes)]
+    # Noise per row as the recordings had it, at their rate or at what the test asks for.
+    z = np.concatenate(columns, axis=2) / np.array([floor[channel] for channel in run.channels])[:, None]
+    flat = z.reshape(-1, z.shape[2])
+    gram = flat.T @ flat * _rate(asked.found, run)
     n = len(own)
     gram[np.arange(n), np.arange(n)] += 1.0
-    at = [
-        *range(n, len(keys)),
-        *(len(keys) + columns.names[len(keys) :].index(label) for label in asked.labels),
-    ]
-    return _given(gram, range(n), at), recording.duration_s
+    return _given(gram, range(n), range(n, len(gram))), recording.duration_s
 
 
 def _rate(found: Finding, planned: Run) -> float:
     """Rows that the recordings' own rate, the nearest of them, would bring over those simulated; no fewer than these."""
-    rates = [planned.period_s * planned.every / (run.period_s * run.every) for run in found.runs]
+    rates = [planned.period_s / run.period_s for run in found.runs]
     return max(min(rates, key=lambda rate: float(abs(np.log(rate)))), 1.0)
 
 
@@ -250,8 +268,8 @@ def _apart(asked: _Question, gram: Array) -> tuple[float, float]:
     place = {names[k]: n for n, k in enumerate(rest)}
     columns = {asked.winner: [[place[key] for key in asked.keys if key.startswith(mine)]]}
     for rival in asked.rivals:
-        columns[rival.name] = [[place[label] for label in labels] for labels in rival.columns()]
-    fitted, key = asked.found.last.found, mine + asked.step.test.candidate.switch
+        columns[rival.name] = [[place[label] for label in labels] for labels in _labels(rival)]
+    fitted, key = asked.found.outcome.last.fitted, asked.accepted.hypothesis.key
     size = np.zeros(len(rest))
     size[place[key]] = (
         fitted.model.values()[key] - (fitted.model.file.meaning(key).null or 0.0)
@@ -272,13 +290,13 @@ def _apart(asked: _Question, gram: Array) -> tuple[float, float]:
 def _given(gram: Array, base: Sequence[int], rest: Sequence[int]) -> Array:
     """(r, r) products of some columns once others have explained all they can of them."""
     cross = gram[np.ix_(base, rest)]
-    return np.asarray(gram[np.ix_(rest, rest)] - cross.T @ _inverse(gram[np.ix_(base, base)]) @ cross)
+    return np.asarray(gram[np.ix_(rest, rest)] - cross.T @ inverse(gram[np.ix_(base, base)]) @ cross)
 
 
 def _instead(gram: Array, truth: Array, shape: Sequence[int]) -> Array:
     """The sizes at which some columns stand for the truth best, all others 0."""
     fit = np.zeros(len(truth))
-    fit[list(shape)] = _inverse(gram[np.ix_(shape, shape)]) @ (gram @ truth)[list(shape)]
+    fit[list(shape)] = inverse(gram[np.ix_(shape, shape)]) @ (gram @ truth)[list(shape)]
     return fit
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.fit import Fit, fit, noise_of
+from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
 from motorlens_physics.estimate.prior import base_prior, nuisance_prior
@@ -16,10 +15,15 @@ from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.look import look, pooled_floor
-from motorlens_workbench.screen import all_columns, evidence_of, held_out_errors, held_out_rmse, with_priors
-from motorlens_workbench.selection import REAL, WORTH, Progress, refit, total
+from motorlens_workbench.contest import Progress, needed_weight, own_score
+from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.evidence.held_out import held_out, held_out_errors, pooled_floor
+from motorlens_workbench.evidence.ledger import Ledger, ledger
+from motorlens_workbench.fitted import Fitted
+from motorlens_workbench.hypotheses.line import Line
+from motorlens_workbench.refit import settled, with_hypothesis
+from motorlens_workbench.standing import stand, under
+from motorlens_workbench.verdict import seen_named
 
 Array = NDArray[np.float64]
 
@@ -87,47 +91,36 @@ def add(
             _rung(names[k - 1] if k else "", _with(lower, file, names[:k]), runs, judge, differing)[0]
         )
     say("fitting the motor file as it is")
-    rung, fitted, runs = _rung(names[-1] if names else "", file, runs, judge, differing)
+    rung, base = _rung(names[-1] if names else "", file, runs, judge, differing)
     rungs.append(rung)
-    say(f"screening for {name}")
-    now = look(fitted, runs, own)
-    test = now.tests.get(name)
-    if test is None:
+    say(f"weighing {name}")
+    here = stand(fitted_of(base), own)
+    seen = seen_named(here)
+    floor = pooled_floor(base.fit.model, base.runs)
+    if name not in seen:
         raise DataError(
-            f"{name}: no such effect or sensor fault for these recordings; known: {', '.join(sorted(now.tests))}"
-        )
-    if test.score is None:
-        return Ladder(
-            tuple(rungs),
-            pooled_floor(now.found.model, runs),
-            0.0,
-            False,
-            "it is a copy of what the base parameters already do",
+            f"{name}: no such effect or sensor fault for these recordings, or a copy of what base parameters do; "
+            f"known: {', '.join(sorted(seen))}"
         )
     say(f"fitting with {name}")
-    found = refit(now.found, now.evidence, test, runs, rounds=10)
+    score = seen[name]
+    fitted, beside = under(here, [run.noise for run in here.fitted.runs if run.noise])
+    found = with_hypothesis(fitted, beside, score)
     if found is None:
-        return Ladder(
-            tuple(rungs),
-            pooled_floor(now.found.model, runs),
-            test.statistic,
-            False,
-            "no model with it could be simulated",
-        )
-    gain = (total(now.found) - total(found)) / test.score.inflation
-    # As the rungs below: with the noise of what this model leaves.
-    found = fit(found.model, runs, found.prior)
-    found = replace(found, whiteners=noise_of(found.residuals, runs, len(found.prior.keys)))
-    rungs.append(_described(name, found, runs, judge, recordings, differing))
+        return Ladder(tuple(rungs), floor, score.weight, False, "no model with it could be simulated")
+    then = stand(settled(found), own)
+    held = own_score(then.book, then.fitted, score.entry.hypothesis)
+    weight = held.weight if held else 0.0
+    rungs.append(_described(name, then.fitted, then.book, then.lines, judge, recordings, differing))
     before, after = rungs[-2].held_out, rungs[-1].held_out
     # Channels are traded by the logarithm of their error: what one loses, another must more than win.
     better = sum(float(np.log(after[c] / before[c])) for c in after) < 0
-    why = ""
-    if gain < REAL or gain * test.score.inflation < WORTH * now.samples:
-        why = f"what it explains is within chance (statistic {gain:.3g}, needed {REAL:g})"
+    needed, why = needed_weight(here, ()), ""
+    if weight < needed:
+        why = f"what it explains is within chance (weight {weight:.3g}, needed {needed:.3g})"
     elif not better:
         why = "the error on blocks held out does not fall"
-    return Ladder(tuple(rungs), pooled_floor(now.found.model, runs), gain, not why, why)
+    return Ladder(tuple(rungs), pooled_floor(then.fitted.model, then.fitted.runs), weight, not why, why)
 
 
 def remove(
@@ -147,16 +140,16 @@ def remove(
         raise DataError(f"{name} is not in the motor file")
     runs = prepare_all(recordings, file)
     say("fitting the motor file as it is")
-    with_it, better, better_runs = _rung(name, file, runs, judge, differing)
+    with_it, better = _rung(name, file, runs, judge, differing)
     without = replace(
         file,
         motor=file.motor.without_effect(name),
         sensors=tuple(sensor for sensor in file.sensors if sensor.name() != name),
     )
     say(f"fitting without {name}")
-    rung, _, _ = _rung(f"without {name}", without, runs, judge, differing)
+    rung, _ = _rung(f"without {name}", without, runs, judge, differing)
     # The floor is that of the better model: what the other lacks is no noise.
-    return Ladder((with_it, rung), pooled_floor(better.model, better_runs), 0.0, True, "")
+    return Ladder((with_it, rung), pooled_floor(better.fit.model, better.runs), 0.0, True, "")
 
 
 def _imposed(file: MotorFile, name: str) -> bool:
@@ -177,33 +170,40 @@ def _with(lower: MotorFile, file: MotorFile, names: Sequence[str]) -> MotorFile:
 
 def _rung(
     added: str, file: MotorFile, runs: Sequence[Run], judge: Sequence[Recording], differing: Sequence[str]
-) -> tuple[Rung, Fit, tuple[Run, ...]]:
-    found, used = base_fit(file, runs)
-    found = replace(found, whiteners=noise_of(found.residuals, used, len(found.prior.keys)))
-    return _described(added, found, used, judge, (), differing), found, used
+) -> tuple[Rung, Estimate]:
+    base = base_fit(file, runs)
+    fitted = fitted_of(base)
+    book, lines = _book(fitted)
+    return _described(added, fitted, book, lines, judge, (), differing), base
+
+
+def _book(fitted: Fitted) -> tuple[Ledger, list[Line]]:
+    """The sums of the fitted parameters alone."""
+    lines = [Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs)]
+    noises = []
+    for run in fitted.runs:
+        assert run.noise is not None
+        noises.append(run.noise)
+    return ledger(lines, noises, fitted.prior, ()), lines
 
 
 def _described(
     added: str,
-    found: Fit,
-    runs: Sequence[Run],
+    fitted: Fitted,
+    book: Ledger,
+    lines: Sequence[Line],
     judge: Sequence[Recording],
     fitted_to: Sequence[Recording],
     differing: Sequence[str],
 ) -> Rung:
-    columns = all_columns(found, runs, (), (), with_decoys=False)
-    evidence = with_priors(evidence_of(columns, runs, found.whiteners), found)
     source = "fitted to " + ", ".join(recording.name for recording in fitted_to or ())
-    spread = found.sd()
-    file = found.model.file
+    spread = dict(
+        zip(fitted.prior.keys, np.sqrt(np.maximum(np.diagonal(fitted.covariance), 0)).tolist(), strict=True)
+    )
+    file = fitted.model.file
     known = {key: Knowledge(spread[key], source) for key in file.values() if key in spread}
     file = file.with_values({}, known)
-    return Rung(
-        added,
-        file,
-        held_out_rmse(found, runs, columns, evidence),
-        judged(file, judge, differing),
-    )
+    return Rung(added, file, held_out(book, lines), judged(file, judge, differing))
 
 
 def judged(
@@ -233,9 +233,7 @@ def judged(
                 known = ", ".join(key for key in prior.keys if "@" not in key)
                 raise DataError(f"{', '.join(unknown)}: no such parameter of the motor file; known: {known}")
             found = estimate(file, runs, prior.only(differing).joined(nuisance_prior(file, runs)))
-            columns = all_columns(found.fit, found.runs, (), (), with_decoys=False)
-            evidence = with_priors(evidence_of(columns, found.runs, found.fit.whiteners), found.fit)
-            error = held_out_errors(found.fit, found.runs, columns, evidence)[0][found.runs[0].fresh()]
+            error = held_out_errors(*_book(fitted_of(found)))[0][found.runs[0].valid]
             channels = found.runs[0].channels
         else:
             beside = free_runs(file, runs)[1][0]

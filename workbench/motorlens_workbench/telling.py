@@ -3,7 +3,7 @@
 import sys
 import time
 
-from motorlens_workbench.selection import Progress
+from motorlens_workbench.contest import Progress
 
 
 def teller(command: str) -> Progress:

@@ -31,10 +31,10 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from motorlens_physics.command_inputs import input_words, inputs_from, print_notes
-    from motorlens_workbench.diagnosis import investigate
-    from motorlens_workbench.diagnosis_json import to_json, to_text
+    from motorlens_workbench.diagnose import diagnose
     from motorlens_workbench.driven import driven
     from motorlens_workbench.experiments import propose
+    from motorlens_workbench.report.json import to_json, to_text
     from motorlens_workbench.telling import teller
     from motorlens_workbench.verdict import settle
 
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.driven:
         file, recordings = driven(file, recordings)
     say = teller("diagnose")
-    found = investigate(file, recordings, given.effects, say)
+    found = diagnose(file, recordings, given.effects, say)
     verdict = settle(found)
     if any(len(group) > 1 for group in verdict.groups):
         say("looking for the test that tells the group apart")

@@ -1,15 +1,19 @@
 """The diagnosis as one page: verdict sentence, pictures, numbers, how to reproduce it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from motorlens_physics.estimate.model import predict
 from motorlens_physics.estimate.run import UNIT_OF
-from motorlens_workbench.diagnosis import Finding
-from motorlens_workbench.evidence import similarity
+from motorlens_workbench.diagnose import Finding
+from motorlens_workbench.evidence.ledger import common
+from motorlens_workbench.evidence.look import best_of
+from motorlens_workbench.report.json import least_text, size_text
 from motorlens_workbench.report.overlay import overlay
-from motorlens_workbench.report.page import Section, page, significant, unit_text
+from motorlens_workbench.report.page import Section, page
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Table, curves
 from motorlens_workbench.verdict import Verdict
 
@@ -41,7 +45,7 @@ def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command:
         Section("The error falls", _ladder(document)),
         Section("Candidates", [*_gains(document), _table(document)]),
     ]
-    if len(found.first.tests) > 1:
+    if len(document["candidates"]) > 1:
         sections.append(Section("What looks alike", [_alike(found, document)]))
     sections.append(Section("Base parameters", [_parameters(found)]))
     return page(
@@ -59,16 +63,17 @@ def _next_step(document: dict[str, Any]) -> list[str]:
 
 
 def _shape(verdict: Verdict) -> Plot:
-    bend = verdict.shape
-    assert bend is not None
-    low, high = bend.value - 1.645 * bend.sd, bend.value + 1.645 * bend.sd
+    score = verdict.shape
+    assert score is not None
+    shape: Any = score.entry.shape
+    x, y, sd = shape.values(score.coefficient, score.covariance)
     caption = (
         "Added to the right-hand side of its balance, after the base parameters have explained what they can; what they can "
         "imitate (an offset, a slope) is not in it. Shaded: the 90 % band."
     )
     return curves(
-        f"{bend.curve.against}, {UNIT_AGAINST[bend.curve.against]}", f"{bend.curve.term}, {bend.curve.unit}", bend.knots,
-        {"missing term": ("lacking", bend.value)}, band=(low, high), caption=caption,
+        f"{shape.against}, {UNIT_AGAINST[shape.against]}", f"{shape.term}, {shape.unit}", x,
+        {"missing term": ("lacking", y)}, band=(y - 1.645 * sd, y + 1.645 * sd), caption=caption,
     )  # fmt: skip
 
 
@@ -76,10 +81,13 @@ def _overlays(found: Finding, document: dict[str, Any]) -> Content:
     plots: Content = []
     for r, run in enumerate(found.runs):
         run = replace(run, corrections=None)
-        trajectory, before = predict(found.base.model, run, r)
+        trajectory, before = predict(found.base.fit.model, run, r)
         predicted = {"base model": ("lacking", before)}
-        if found.steps:
-            predicted["with what was named"] = ("predicted", predict(found.last.found.model, run, r)[1])
+        if found.outcome.accepted:
+            predicted["with what was named"] = (
+                "predicted",
+                predict(found.outcome.last.fitted.model, run, r)[1],
+            )
         plots.append(overlay(run, trajectory, predicted, document["error"]["noise_floor"]))
     return plots
 
@@ -102,23 +110,21 @@ def _gains(document: dict[str, Any]) -> Content:
     if not shown:
         return []
     bars = [Bar(entry["name"].replace("_", " "), entry["statistic"]) for entry in shown]
-    caption = "What each candidate alone would explain, scatter between blocks of time taken into account."
-    return [Bars("Robust statistic (26 counts as real)", "", bars, caption)]
+    needed = document["criteria"]["needed"]
+    caption = "What each alone explains: minus the logarithm of the probability of as much by chance."
+    title = "Weight of the evidence" + (f" ({needed:.3g} is beyond chance here)" if needed else "")
+    return [Bars(title, "", bars, caption)]
 
 
 def _table(document: dict[str, Any]) -> Table:
     entries = document["candidates"]
     rows = []
     for entry in entries:
-        size = next(iter(entry["parameters"].values()), None)
-        unit = "" if size is None else f" {unit_text(size['unit'])}".rstrip()
-        value = f"{significant(size['value'])} ± {size['sd']:.2g}{unit}" if size else ""
-        least = entry["minimum_detectable"]
         rows.append(
             [entry["name"].replace("_", " "), entry["equation"].replace("_", " "), _chance(entry["p"]),
-             _probability(entry), value, "" if least is None else f"{significant(least)}{unit}", entry["why_not"]]
+             _probability(entry), size_text(entry), least_text(entry), entry["why_not"]]
         )  # fmt: skip
-    headings = ["candidate", "equation", "p", "probability", "size", "detectable from", "note"]
+    headings = ["candidate", "equation", "p", "probability", "size", "would have been seen from", "note"]
     top = max((_weight(entry) for entry in entries), default=0.0)
     # All that share the first place, not whichever happens to be listed first.
     strong = [
@@ -150,12 +156,12 @@ def _probability(entry: dict[str, Any]) -> str:
 
 
 def _alike(found: Finding, document: dict[str, Any]) -> Grid:
-    names = [e["name"] for e in document["candidates"] if e["name"] in found.first.tests][:SHOWN]
-    names = [name for name in names if found.first.tests[name].score is not None]
-    labels = [
-        found.first.tests[name].candidate.columns()[found.first.tests[name].variant][0] for name in names
-    ]
-    alike = similarity(found.first.left, labels)
+    first = found.outcome.first
+    best = best_of(first.scores)
+    names = [e["name"] for e in document["candidates"] if e["name"] in best][:SHOWN]
+    shapes = [best[name].entry.shape for name in names]
+    noises = [run.noise for run in first.fitted.runs if run.noise is not None]
+    alike = _similarity(common(first.lines, noises, first.fitted.prior, shapes), len(first.book.keys), shapes)
     last = len(names) - 1
     cells = [
         Cell(column, last - row, float(alike[row, column]), f"{names[row]} and {names[column]}: {alike[row, column]:.3f}")
@@ -171,12 +177,30 @@ def _alike(found: Finding, document: dict[str, Any]) -> Grid:
     )  # fmt: skip
 
 
+def _similarity(gram: np.ndarray, count: int, shapes: Sequence[Any]) -> np.ndarray:
+    """Squared correlation of the first columns of shapes, once `count` fitted parameters have explained what they can."""
+    base = np.arange(count)
+    at = count + np.cumsum([0, *(shape.width for shape in shapes[:-1])])
+    own = gram[np.ix_(base, base)] + np.eye(count)
+    left = gram[np.ix_(at, at)] - gram[np.ix_(at, base)] @ np.linalg.solve(own, gram[np.ix_(base, at)])
+    scale = np.sqrt(np.maximum(np.diagonal(left), 1e-300))
+    return np.asarray((left / np.outer(scale, scale)) ** 2)
+
+
 def _parameters(found: Finding) -> Table:
-    file, base, last = found.base.prior.centre, found.base, found.last.found
-    spread = last.sd()
+    base, last = found.base.fit, found.outcome.last.fitted
+    spread = dict(zip(last.prior.keys, np.sqrt(np.maximum(np.diagonal(last.covariance), 0)), strict=True))
     rows = []
     for key in base.prior.keys:
         if "@" in key:
             continue
-        rows.append([key, file[key], base.model.values()[key], last.model.values()[key], spread[key]])
+        rows.append(
+            [
+                key,
+                base.prior.centre[key],
+                base.model.values()[key],
+                last.model.values()[key],
+                float(spread[key]),
+            ]
+        )
     return Table(["parameter", "motor file", "fitted, base", "fitted, after", "standard deviation"], rows)

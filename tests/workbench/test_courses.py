@@ -8,7 +8,7 @@ import pytest
 from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.variation import Variation, of_parameter, travel, variations
+from motorlens_workbench.hypotheses.courses import Course, courses, of_parameter, travel
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 
@@ -58,9 +58,9 @@ def test_an_effect_counts_with_its_size(trajectory):
     assert not added.voltage.any()
 
 
-def test_the_hats_of_a_variation_add_up_to_its_parameter(trajectory):
+def test_the_hats_of_a_course_add_up_to_its_parameter(trajectory):
     whole = of_parameter(trajectory, "R_a0")
-    parts = Variation("R_a0", "electrical", "ohm", "speed", np.array([0.0, 20.0, 60.0])).forcing(trajectory)
+    parts = Course("R_a0", "electrical", "ohm", "speed", np.array([0.0, 20.0, 60.0])).forcing(trajectory)
     assert parts.voltage.shape == (3000, 3)
     assert parts.voltage.sum(axis=1) == pytest.approx(whole.voltage)
     assert parts.heat.sum(axis=1) == pytest.approx(whole.heat)
@@ -86,7 +86,12 @@ def test_samples_too_far_apart_tell_no_travel():
 
 def test_heat_is_left_out_where_the_temperature_is_not_measured(trajectory):
     file = read_motor_file(MOTOR)
-    named = {one.parameter for one in variations(file, [trajectory], ("current", "speed"))}
+    named = {
+        one.shapes[0].parameter for one in courses(file, [trajectory], ("current", "speed"), loaded=True)
+    }
     assert {"R_a0", "L", "ke", "J", "b"} == named
-    named |= {one.parameter for one in variations(file, [trajectory], ("current", "temperature"))}
+    named |= {
+        one.shapes[0].parameter
+        for one in courses(file, [trajectory], ("current", "temperature"), loaded=True)
+    }
     assert {"k0", "k_ir", "H"} <= named

@@ -10,10 +10,9 @@ from scipy.signal import lsim
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.diagnosis import base_fit
-from motorlens_workbench.lasting import DAMPING, Lasting, resonances
-from motorlens_workbench.leftover import leftover
-from motorlens_workbench.look import look
+from motorlens_workbench.contest import contest
+from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.hypotheses.memory import DAMPING, Memory, resonances
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 PERIOD_S = 0.002
@@ -37,9 +36,9 @@ def test_resonators_answer_as_scipy_does_also_to_uneven_samples():
 
 def test_the_amplitude_is_that_of_the_response_of_the_resonators():
     """A sine at one of the frequencies through fitted resonators swings as far as is said, and 0 coefficients say 0."""
-    term = Lasting("torque", np.array([2.0, 4.0, 8.0]))
+    term = Memory("torque", np.array([2.0, 4.0, 8.0]))
     coefficient = np.array([0.3, -0.2, 0.1, 0.4, -0.5, 0.2])
-    size, sd = term.amplitude(range(6), coefficient, 1e-4 * np.eye(6))
+    _, size, sd = term.values(coefficient, 1e-4 * np.eye(6))
     time = np.arange(20_000) * 1e-3
     for hertz, expected in zip(term.frequencies_Hz, size, strict=True):
         swing = resonances(np.sin(2 * np.pi * hertz * time), time, term.frequencies_Hz) @ coefficient
@@ -52,15 +51,15 @@ def test_the_amplitude_is_that_of_the_response_of_the_resonators():
 def test_a_flywheel_on_a_spring_shows_as_a_torque_with_a_memory(twisting):
     """Half of the inertia behind a soft shaft that resonates at 40 Hz; on a stiff shaft nothing of the kind is found."""
     file, recording = with_flywheel(twisting)
-    found, runs = base_fit(file, prepare_all([recording], file))
-    now = look(found, runs)
-    bends = leftover(now.found, runs, now.decoy)
+    outcome = contest(fitted_of(base_fit(file, prepare_all([recording], file))))
     if not twisting:
-        assert not bends
+        assert outcome.unnamed is None and not outcome.accepted
         return
-    assert isinstance(bends[0].curve, Lasting) and bends[0].curve.balance == "torque"
-    assert bends[0].gain > 0.02 * now.samples
-    assert 20.0 < bends[0].knots[np.argmax(bends[0].value)] < 80.0
+    term = outcome.unnamed
+    assert term is not None
+    assert isinstance(term.entry.shape, Memory) and term.entry.shape.balance == "torque"
+    hertz, size, _ = term.entry.shape.values(term.coefficient, term.covariance)
+    assert 20.0 < hertz[np.argmax(size)] < 80.0
 
 
 def with_flywheel(twisting):

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.scenario import time_constants
-from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.balances import filter_times, lowpass, missing_of
-from motorlens_workbench.bend import Bend
-from motorlens_workbench.variation import Variation
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
 
@@ -40,18 +39,52 @@ HUBER, ROUNDS = 1.5, 5
 
 
 @dataclass(frozen=True)
-class Spells(Variation):
+class Contact:
     """The armature's resistance while a contact comes and goes.
 
     Attributes:
-        run: name of the recording in which it shows most.
-        by: how much more it is then, Ohm.
+        run: position of the recording in which it shows.
+        recording: its name.
+        unit: of the resistance.
+        time_s: (M,) when the contact was looked at.
+        missing_V: (M,) what the electrical equation lacks then, 0 where the contact is good.
+        shown: part of these samples with the most spells: time in s, resistance beyond the usual, its standard deviation.
+        by: how much more the resistance is while the contact is bad, Ohm.
         share: of the time.
     """
 
-    run: str
+    run: int
+    recording: str
+    unit: str
+    time_s: Array
+    missing_V: Array
+    shown: tuple[Array, Array, Array]
     by: float
     share: float
+    term: str = "R_a0"
+    equation: str = "electrical"
+    against: str = "time"
+
+    @property
+    def width(self) -> int:
+        """How many columns it has."""
+        return 1
+
+    def columns(self, line: Line) -> Array:
+        """(N, C, 1) what the voltage that is lost in the contact would change."""
+        voltage = np.zeros(len(line.error))
+        if line.r == self.run:
+            voltage = -np.interp(line.trajectory.inputs.time_s, self.time_s, self.missing_V)
+        still = np.zeros(len(voltage))
+        return line.of_forcing(Forcing(voltage, still, still))
+
+    def limits(self) -> tuple[float, float]:
+        """Of the coefficient."""
+        return 0.0, 2.0
+
+    def values(self, coefficient: Array, covariance: Array) -> tuple[Array, Array, Array]:
+        """Time in s, resistance beyond the usual, and its standard deviation, where there are most spells."""
+        return self.shown
 
 
 @dataclass(frozen=True)
@@ -92,42 +125,35 @@ class _Lacking:
         return int(np.sum(out[1:] & ~out[:-1]) + np.sum(out[:1]))
 
 
-def loose_contact(
-    model: Model, runs: Sequence[Run], predictions: Sequence[tuple[Trajectory, Array]]
-) -> Bend | None:
-    """The resistance against time where a contact comes and goes; None where none does.
+def contacts(lines: Sequence[Line]) -> list[Hypothesis]:
+    """A contact in each recording in which the electrical equation shows one.
 
-    Args:
-        model: a fitted model.
-        runs: prepared recordings; those without current or speed say nothing, nor do very short ones.
-        predictions: of every run, from that model, see `predict`.
+    Recordings without current or speed say nothing, nor do very short ones.
     """
-    looked = [
-        _lacking(model, run, r, *predicted)
-        for r, (run, predicted) in enumerate(zip(runs, predictions, strict=True))
-        if {"current", "speed"} <= {*run.channels}
-    ]
-    seen = [one for one in looked if one is not None]
-    if not seen:
-        return None
-    z, current, voltage = (
-        np.concatenate([getattr(one, what)[one.carrying] for one in seen])
-        for what in ("deviations", "current_A", "voltage_V")
-    )
-    out = z > BEYOND
-    if sum(one.spells for one in seen) < LEAST or np.sum(out) < ONE_SIDED * np.sum(z < -BEYOND):
-        return None
-    if not np.corrcoef(current[out], voltage[out])[0, 1] > GOES_WITH:
-        return None
-    most = max(seen, key=lambda one: int(np.sum(one.deviations[one.carrying] > BEYOND)))
-    return _shown(most, model, float(np.sum(z[out] ** 2)))
+    seen = [(line, _lacking(line)) for line in lines if {"current", "speed"} <= {*line.run.channels}]
+    listed = []
+    for line, lacking in seen:
+        if lacking is None or lacking.spells < LEAST:
+            continue
+        z, here = lacking.deviations, lacking.carrying
+        out = here & (z > BEYOND)
+        if out.sum() < ONE_SIDED * max(int(np.sum(here & (z < -BEYOND))), 1):
+            continue
+        drop, current = lacking.voltage_V[out], lacking.current_A[out]
+        if np.corrcoef(drop, current)[0, 1] < GOES_WITH:
+            continue
+        shape = _shape(lacking, line)
+        name = f"contact of {line.run.name}"
+        listed.append(Hypothesis(name, "unnamed", "electrical", (shape,)))
+    return listed
 
 
-def _lacking(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> _Lacking | None:
+def _lacking(line: Line) -> _Lacking | None:
+    model, run = line.model, line.run
     tau = filter_times(run, time_constants(model.file.motor))["electrical"]
     time = run.inputs.time_s
     # A voltage that is missing on the side of the drop.
-    drop = -missing_of(model, run, r, trajectory, predicted)["electrical"]
+    drop = -missing_of(model, run, line.r, line.trajectory, line.predicted)["electrical"]
     current, speed = (
         lowpass(run.measured[:, run.channels.index(channel)], time, tau) for channel in ("current", "speed")
     )
@@ -163,7 +189,7 @@ def robust(terms: Array, y: Array) -> tuple[Array, float]:
     return error, scale
 
 
-def _shown(seen: _Lacking, model: Model, gain: float) -> Bend:
+def _shape(seen: _Lacking, line: Line) -> Contact:
     kept = seen.carrying
     time, z = seen.time_s[kept], seen.deviations[kept]
     more, sd = (seen.voltage_V / seen.current_A)[kept], (seen.scale_V / np.abs(seen.current_A))[kept]
@@ -172,8 +198,8 @@ def _shown(seen: _Lacking, model: Model, gain: float) -> Bend:
     by = float(np.quantile(more[spells], 0.75))
     counts = np.convolve(spells, np.ones(min(SHOWN, len(spells))), mode="valid")
     window = slice(int(np.argmax(counts)), int(np.argmax(counts)) + SHOWN)
-    unit = model.file.meaning("R_a0").unit
-    share = float(np.mean(more > 0.5 * by))
-    curve = Spells("R_a0", "electrical", unit, "time", time[window], seen.run.name, by, share)
-    excess = (spells.sum() - np.sum(z < -BEYOND)) / np.sqrt(spells.sum())
-    return Bend(curve, gain, float(excess), float(np.max(z) ** 2), time[window], more[window], sd[window])
+    missing = np.where(seen.carrying & (seen.deviations > BEYOND), seen.voltage_V, 0.0)
+    return Contact(
+        line.r, seen.run.name, line.model.file.meaning("R_a0").unit, seen.time_s, missing,
+        (time[window], more[window], sd[window]), by, float(np.mean(more > 0.5 * by)),
+    )  # fmt: skip

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.curves import Term
+from motorlens_workbench.hypotheses.curves import Term
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ MOST = 9
 
 
 @dataclass(frozen=True)
-class Lasting(Term):
+class Memory(Term):
     """A voltage or torque as a free function of the past of a state; values are for a swing of its standard deviation.
 
     Attributes:
@@ -49,9 +51,19 @@ class Lasting(Term):
         """The state it follows."""
         return PAST[self.balance]
 
-    def columns(self) -> list[str]:
-        """Names of the columns, two a frequency."""
-        return [f"curve.{self.balance}.{self.against}.{k}" for k in range(2 * len(self.frequencies_Hz))]
+    @property
+    def width(self) -> int:
+        """How many columns it has."""
+        return 2 * len(self.frequencies_Hz)
+
+    @property
+    def name(self) -> str:
+        """What it is called where hypotheses are listed."""
+        return f"{self.balance} against past {self.past}"
+
+    def columns(self, line: Line) -> Array:
+        """(N, C, 2 f) what a unit of each resonator would change in the channels."""
+        return line.of_forcing(self.forcing(line.trajectory))
 
     def forcing(self, trajectory: Trajectory) -> Forcing:
         """What a unit of each resonator adds to the balances, (N, 2 f) each; the state is taken per standard deviation."""
@@ -59,31 +71,27 @@ class Lasting(Term):
         scale = max(float(np.std(signal)), 1e-12)
         return self.adding(resonances(signal / scale, trajectory.inputs.time_s, self.frequencies_Hz))
 
-    def amplitude(self, at: Sequence[int], coefficient: Array, covariance: Array) -> tuple[Array, Array]:
-        """(f,) what is missing at each frequency, in `unit`, and its standard deviation.
-
-        Args:
-            at: which columns were fitted, k of them.
-            coefficient: (k,) theirs.
-            covariance: (k, k) of these.
-        """
+    def values(self, coefficient: Array, covariance: Array) -> tuple[Array, Array, Array]:
+        """(f,) the frequencies in Hz, what is missing at each in `unit`, and its standard deviation."""
         s = 1j * self.frequencies_Hz[:, None] / self.frequencies_Hz
         below = s**2 + 2 * DAMPING * s + 1
-        answers = np.stack([s**2 / below, s / below], axis=2).reshape(len(s), -1)[:, at]
+        answers = np.stack([s**2 / below, s / below], axis=2).reshape(len(s), -1)
         response = answers @ coefficient
         size = np.abs(response)
         slope = np.real(answers * (np.conj(response) / np.maximum(size, 1e-300))[:, None])
-        return size, np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", slope, covariance, slope), 0))
+        spread = np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", slope, covariance, slope), 0))
+        return self.frequencies_Hz, size, spread
 
 
-def lasting(trajectories: Sequence[Trajectory]) -> list[Lasting]:
+def memories(trajectories: Sequence[Trajectory]) -> list[Hypothesis]:
     """Both balances with the frequencies that the recordings can show, an octave apart."""
     periods = [float(np.median(np.diff(t.inputs.time_s))) for t in trajectories]
     spans = [float(t.inputs.time_s[-1] - t.inputs.time_s[0]) for t in trajectories]
     highest, lowest = 1 / (SAMPLES * min(periods)), PERIODS / max(spans)
     octaves = min(int(np.log2(highest / lowest)), MOST) if highest > lowest else 0
     frequencies = np.array([highest / 2.0**k for k in reversed(range(octaves))])
-    return [Lasting(balance, frequencies) for balance in PAST] if octaves else []
+    made = [Memory(balance, frequencies) for balance in PAST] if octaves else []
+    return [Hypothesis(memory.name, "unnamed", memory.equation, (memory,)) for memory in made]
 
 
 def resonances(y: Array, time_s: Array, frequencies_Hz: Array) -> Array:

@@ -18,8 +18,10 @@ from motorlens_physics.estimate.shaft import STANDS
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import equation_of
-from motorlens_workbench.curves import hat_functions, knots_of
+from motorlens_workbench.hypotheses.curves import hat_functions, knots_of
+from motorlens_workbench.hypotheses.effects import equation_of
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
 
@@ -38,7 +40,7 @@ TRAVEL_RAD = np.array([0.0, 0.2, 0.6, 2.0, 6.0, 20.0])
 
 
 @dataclass(frozen=True)
-class Variation:
+class Course:
     """One parameter of the model as a free curve of one variable.
 
     Attributes:
@@ -60,9 +62,27 @@ class Variation:
         """What it is the course of."""
         return self.parameter
 
-    def columns(self) -> list[str]:
-        """Names of the columns."""
-        return [f"curve.{self.parameter}.{self.against}.{k}" for k in range(len(self.knots))]
+    @property
+    def width(self) -> int:
+        """How many columns it has."""
+        return len(self.knots)
+
+    @property
+    def name(self) -> str:
+        """What it is called where hypotheses are listed."""
+        return f"{self.parameter} against {self.against}"
+
+    def columns(self, line: Line) -> Array:
+        """(N, C, k) what a unit at each knot would change in the channels."""
+        return line.of_forcing(self.forcing(line.trajectory))
+
+    def limits(self) -> tuple[float, float]:
+        """Of the coefficient."""
+        return -np.inf, np.inf
+
+    def values(self, coefficient: Array, covariance: Array) -> tuple[Array, Array, Array]:
+        """(k,) the knots, how the parameter differs there in its unit, and the standard deviation of that."""
+        return self.knots, coefficient, np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
 
     def forcing(self, trajectory: Trajectory) -> Forcing:
         """What a unit of the parameter at each knot adds to the balances, (N, k) each."""
@@ -146,31 +166,31 @@ def parameters_of(file: MotorFile, channels: Sequence[str]) -> dict[str, tuple[s
     return parameters
 
 
-def variations(
-    file: MotorFile, trajectories: Sequence[Trajectory], channels: Sequence[str]
-) -> list[Variation]:
+def courses(
+    file: MotorFile, trajectories: Sequence[Trajectory], channels: Sequence[str], *, loaded: bool
+) -> list[Hypothesis]:
     """Every parameter of a motor against everything that varies in these runs.
 
     Args:
         file: the motor, with the effects accepted so far.
         trajectories: of every run, from the present model.
         channels: measured outputs; without the temperature, heat is not looked at.
+        loaded: whether the load torque was measured. Where it was not, friction or inertia that goes with time, or with the
+            warming, may be a load that does, and is not looked at.
     """
-    parameters = parameters_of(file, channels)
     visited = [variables(trajectory) for trajectory in trajectories]
-    found = []
+    made = []
     for against in EVERYTHING:
         samples = np.concatenate([one[against] for one in visited])
         if against == "travel":
-            reversed_ = any(np.any(np.diff(one["travel"]) < 0) for one in visited)
-            knots = TRAVEL_RAD[: int(np.searchsorted(TRAVEL_RAD, samples.max()))] if reversed_ else None
+            reverses = any(np.any(np.diff(one["travel"]) < 0) for one in visited)
+            knots = TRAVEL_RAD[: int(np.searchsorted(TRAVEL_RAD, samples.max()))] if reverses else None
         else:
             knots = knots_of(samples, KNOTS[against])
         if knots is None or len(knots) < 3:
             continue
-        found += [
-            Variation(key, equation, file.meaning(key).unit, against, knots)
-            for key, (equation, allowed) in parameters.items()
-            if against in allowed
-        ]
-    return found
+        for key, (equation, allowed) in parameters_of(file, channels).items():
+            load_like = not loaded and equation == "mechanical" and against in ("time", "temperature")
+            if against in allowed and not load_like:
+                made.append(Course(key, equation, file.meaning(key).unit, against, knots))
+    return [Hypothesis(course.name, "unnamed", course.equation, (course,)) for course in made]

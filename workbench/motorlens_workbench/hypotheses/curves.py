@@ -7,8 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import Forcing
+from motorlens_physics.estimate.shaft import turning
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.candidates import EQUATIONS
+from motorlens_workbench.hypotheses.effects import EQUATIONS
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
 
@@ -16,6 +19,8 @@ UNITS = {"voltage": "V", "torque": "N*m", "heat": "W"}
 BALANCES = tuple(UNITS)
 # Against what, and with how many knots: finer than the bumps that a coarse curve would miss.
 KNOTS = {"speed": 18, "current": 12, "temperature": 8, "time": 12}
+# Knots around a revolution of the shaft.
+ROUND = 25
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,10 @@ class Term:
     def term(self) -> str:
         """What it is the course of."""
         return self.balance
+
+    def limits(self) -> tuple[float, float]:
+        """Of the coefficient."""
+        return -np.inf, np.inf
 
     @property
     def unit(self) -> str:
@@ -61,18 +70,36 @@ class Curve(Term):
     against: str
     knots: Array
 
-    def columns(self) -> list[str]:
-        """Names of the columns."""
-        return [f"curve.{self.balance}.{self.against}.{k}" for k in range(len(self.knots))]
+    @property
+    def width(self) -> int:
+        """How many columns it has."""
+        return len(self.knots)
+
+    @property
+    def name(self) -> str:
+        """What it is called where hypotheses are listed."""
+        return f"{self.balance} against {self.against}"
+
+    def columns(self, line: Line) -> Array:
+        """(N, C, k) what a unit at each knot would change in the channels."""
+        return line.of_forcing(self.forcing(line.trajectory))
+
+    def values(self, coefficient: Array, covariance: Array) -> tuple[Array, Array, Array]:
+        """(k,) the knots, the curve there in its unit, and its standard deviation."""
+        return self.knots, coefficient, np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
 
     def forcing(self, trajectory: Trajectory) -> Forcing:
-        """What a unit at each knot adds to the balances, (N, k) each; nothing against an angle that is not known."""
+        """What a unit at each knot adds to the balances, (N, k) each.
+
+        Nothing against an angle that is not known, or while the shaft does not turn whole revolutions.
+        """
         if self.against != "angle":
             return self.adding(hat_functions(self.knots, variables(trajectory)[self.against]))
         angle = trajectory.states.get("phi")
         if angle is None:
             return self.adding(np.zeros((len(trajectory.inputs.time_s), len(self.knots))))
-        return self.adding(around(self.knots, angle))
+        moving = turning(angle, trajectory.speed_rad_s, 2 * np.pi)
+        return self.adding(around(self.knots, angle) * moving[:, None])
 
 
 def hat_functions(knots: Array, z: Array) -> Array:
@@ -123,9 +150,22 @@ def variables(trajectory: Trajectory) -> dict[str, Array]:
     }
 
 
-def curves(trajectories: Sequence[Trajectory], balances: Sequence[str]) -> list[Curve]:
-    """Free curves of every balance against every variable that varies."""
-    found = []
+def curves(trajectories: Sequence[Trajectory]) -> list[Hypothesis]:
+    """Free curves of every balance against every variable that varies.
+
+    A voltage or a torque that goes with time, or with the temperature that rises with it, is none of them: noise of the
+    inputs and a slow torque, which every fit has, are that.
+    """
+    every = free_curves(trajectories, BALANCES)
+    listed = [one for one in every if one.balance == "heat" or one.against not in ("time", "temperature")]
+    if any("phi" in trajectory.states for trajectory in trajectories):
+        listed.append(Curve("torque", "angle", np.linspace(0, 2 * np.pi, ROUND)))
+    return [Hypothesis(curve.name, "unnamed", curve.equation, (curve,)) for curve in listed]
+
+
+def free_curves(trajectories: Sequence[Trajectory], balances: Sequence[str]) -> list[Curve]:
+    """Curves of some balances against every variable that varies."""
+    listed = []
     for against, count in KNOTS.items():
         samples = np.concatenate([variables(t)[against] for t in trajectories])
         knots = knots_of(samples, count)
@@ -136,5 +176,5 @@ def curves(trajectories: Sequence[Trajectory], balances: Sequence[str]) -> list[
             near = 0.02 * np.max(np.abs(knots))
             if knots[0] < -near and knots[-1] > near:
                 knots = np.unique(np.concatenate([knots[np.abs(knots) > 2 * near], [-near, 0.0, near]]))
-        found += [Curve(balance, against, knots) for balance in balances]
-    return found
+        listed += [Curve(balance, against, knots) for balance in balances]
+    return listed

@@ -1,0 +1,127 @@
+"""How large the largest hypothesis gets where nothing is missing: what `criteria.py` takes its two thresholds from.
+
+    python benchmarks/null.py --count 200 --seed 1 -o null.jsonl
+
+Worlds of the hidden-effect simulator (another plant, other code), small recordings, nothing hidden; motor, noise, converter,
+excitation and channels drawn as in the blind benchmark. Printed are the quantiles of the excess over the null of the
+recording (`evidence.null`), of hypotheses with a name and without, and the largest by kind of noise and excitation.
+The file is appended to, and a world that is in it is not computed again. Some 8 s of processor time a world.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve() != HERE)]
+
+from helpers.hidden import Case, draw, generate  # noqa: E402
+
+from motorlens_physics.estimate.run import prepare_all  # noqa: E402
+from motorlens_physics.motor_file import read_motor_file  # noqa: E402
+from motorlens_physics.recording import read_recording  # noqa: E402
+from motorlens_workbench.contest import needed_weight  # noqa: E402
+from motorlens_workbench.diagnose import base_fit, fitted_of  # noqa: E402
+from motorlens_workbench.standing import stand  # noqa: E402
+
+LEVELS = (0.5, 0.9, 0.95, 0.99, 1.0)
+
+
+def worlds(count: int, seed: int) -> Iterator[Case]:
+    """Cases of the blind benchmark with nothing hidden, each with a seed of its own."""
+    rng = np.random.default_rng(seed)
+    for number, case in enumerate(draw("dev", max(count, 1), small=True)):
+        yield replace(
+            case, id=f"null-{seed}-{number:04d}", kind="none", hidden=(), seed=int(rng.integers(1 << 62))
+        )
+
+
+def largest(case: Case) -> dict[str, Any]:
+    """The excess of the heaviest hypothesis with a name and without one."""
+    began = time.process_time()
+    with tempfile.TemporaryDirectory() as place:
+        made = generate(case, Path(place))
+        file = read_motor_file(made.motor)
+        runs = prepare_all([read_recording(path) for path in made.recordings], file)
+    found = base_fit(file, runs)
+    here = stand(fitted_of(found))
+    row: dict[str, Any] = {
+        "id": case.id, "noise": case.noise_kind, "excitation": case.excitation, "channels": case.channels,
+        "records": case.records, "late": sorted({c for run in found.runs for c in run.late}),
+    }  # fmt: skip
+    for word, named in (("named", True), ("unnamed", False)):
+        rivals = [one for one in here.challengers if one.named == named]
+        row[word] = [
+            {
+                "name": one.name,
+                "excess": round(float(here.null.excess(one.weight)), 2),
+                "share": round(float(2 * one.weight / one.colour), 5) if one.colour > 0 else None,
+                "needed": round(float(one.weight / needed_weight(here, (), one.colour, named=named)), 4),
+            }
+            for one in rivals
+            if here.null is not None
+        ]
+    return row | {"seconds": round(time.process_time() - began, 2)}
+
+
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Quantiles, and the largest by factor."""
+    yield f"{len(rows)} worlds with nothing missing, {np.median([row['seconds'] for row in rows]):.1f} s each"
+    yield "weight of the heaviest, as a multiple of what is needed, and its excess over the null in widths"
+    yield f"{'quantile':>20s} " + " ".join(f"{level:8.0%}" for level in LEVELS)
+    for word in ("named", "unnamed"):
+        for key in ("needed", "excess"):
+            largest = np.array([max((one[key] for one in row[word]), default=0.0) for row in rows])
+            told = " ".join(f"{q:8.2f}" for q in np.quantile(largest, LEVELS))
+            yield f"{word + ', ' + key:>20s} {told}   " + (
+                f"above 1: {np.sum(largest > 1)}" if key == "needed" else ""
+            )
+    for factor in ("noise", "excitation", "channels", "records"):
+        for value in sorted({row[factor] for row in rows}):
+            mine = [row for row in rows if row[factor] == value]
+            tops = [_heaviest(mine, word) for word in ("named", "unnamed")]
+            told = "   ".join(
+                f"{top['needed']:6.2f} {top['excess']:7.1f} {top['name'].replace('_', ' '):30s}"
+                for top in tops
+            )
+            yield f"{factor:>12s} {value:16s} {len(mine):4d} {told}"
+
+
+def _heaviest(rows: list[dict[str, Any]], word: str) -> dict[str, Any]:
+    nothing = {"name": "", "excess": 0.0, "needed": 0.0}
+    return max((one for row in rows for one in row[word]), key=lambda one: one["needed"], default=nothing)
+
+
+def main() -> int:
+    """Run it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("-o", "--output", type=Path, default=Path("null.jsonl"))
+    args = parser.parse_args()
+    rows = [json.loads(line) for line in args.output.read_text().splitlines()] if args.output.exists() else []
+    done = {row["id"] for row in rows}
+    for case in worlds(args.count, args.seed):
+        if case.id in done:
+            continue
+        row = largest(case)
+        rows.append(row)
+        with args.output.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{len(rows)}/{args.count} {case.id}", end="\r", file=sys.stderr, flush=True)
+    print("\n".join(table([row for row in rows if row["id"].startswith(f"null-{args.seed}-")])))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

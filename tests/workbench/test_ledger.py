@@ -1,0 +1,195 @@
+"""The sums of the ledger against plain least squares on the stacked columns, and the null against its nominal rate."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motorlens_workbench.evidence.ledger import Entry, Ledger, Score
+from motorlens_workbench.evidence.null import null_of
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+
+BLOCKS, ROWS = 64, 6400
+
+
+class Free:
+    """A shape of which any size is possible."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+
+    def limits(self) -> tuple[float, float]:
+        return -np.inf, np.inf
+
+
+def by_block(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("bni,bnj->bij", a.reshape(BLOCKS, -1, a.shape[1]), b.reshape(BLOCKS, -1, b.shape[1]))
+
+
+def book_of(base: np.ndarray, shapes: list[np.ndarray], error: np.ndarray, pull: float = 0.0) -> Ledger:
+    """A ledger of columns as they are: `base` (N, p) with a prior of width 1 each, `shapes` (N, k) without a name."""
+    wide = np.column_stack([base, error])
+    keys = tuple(f"p{k}" for k in range(base.shape[1]))
+    entries = []
+    for j, columns in enumerate(shapes):
+        shape = Free(columns.shape[1])
+        hypothesis = Hypothesis(f"h{j}", "unnamed", "electrical", (shape,))  # type: ignore[arg-type]
+        entries.append(Entry(hypothesis, shape, by_block(wide, columns), by_block(columns, columns)))  # type: ignore[arg-type]
+    edges = np.linspace(0, len(error), BLOCKS + 1).astype(int)
+    blocks = tuple((0, slice(int(a), int(b))) for a, b in itertools.pairwise(edges))
+    return Ledger(
+        keys, dict.fromkeys(keys, 1.0), by_block(wide, wide), np.full(len(keys), pull), tuple(entries), blocks
+    )
+
+
+def score_of(book: Ledger, j: int = 0) -> Score:
+    score = book.beside().score(book.entries[j])
+    assert score is not None
+    return score
+
+
+@pytest.fixture
+def problem():
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((ROWS, 6))
+    columns[:, 3] += 2 * columns[:, 0]
+    columns[:, 4] = 0.7 * columns[:, 3] + 0.1 * columns[:, 4]
+    error = 0.3 * columns[:, 0] + 0.2 * columns[:, 3] + rng.standard_normal(ROWS)
+    return columns, error
+
+
+def test_a_score_is_what_regression_beside_the_priors_says(problem):
+    """A prior is a pseudo-measurement: least squares with one more row a parameter, by numpy."""
+    columns, error = problem
+    score = score_of(book_of(columns[:, :2], [columns[:, 2:5]], error, pull=0.5))
+    design = np.vstack([columns[:, :5], np.eye(2, 5)])
+    target = np.append(error, [0.5, 0.5])
+    full, rest, *_ = np.linalg.lstsq(design, target, rcond=None)
+    without = np.linalg.lstsq(design[:, :2], target, rcond=None)[1]
+    assert score.coefficient == pytest.approx(full[2:], rel=1e-8)
+    assert score.gain == pytest.approx(without[0] - rest[0], rel=1e-8)
+    assert score.covariance / score.scatter == pytest.approx(
+        np.linalg.inv(design.T @ design)[2:, 2:], rel=1e-6
+    )
+
+
+def test_moves_beside_a_shape_are_those_of_the_regression(problem):
+    columns, error = problem
+    book = book_of(columns[:, :2], [columns[:, 2:3]], error)
+    score = score_of(book)
+    design = np.vstack([columns[:, :3], np.eye(2, 3)])
+    full = np.linalg.lstsq(design, np.append(error, [0.0, 0.0]), rcond=None)[0]
+    moves = book.beside().moves_with(book.entries[0], score.coefficient)
+    assert moves == pytest.approx(full[:2], rel=1e-8)
+
+
+def test_what_was_accepted_counts_as_missing_where_it_is_the_target(problem):
+    """Without p1 among the given, and with it twice in the errors: the regression of such errors on the others."""
+    columns, error = problem
+    book = book_of(columns[:, :2], [columns[:, 2:3]], error)
+    score = book.beside(["p0"], {"p1": 2.0}).score(book.entries[0])
+    assert score is not None
+    design = np.vstack([columns[:, [0, 2]], np.eye(1, 2)])
+    full = np.linalg.lstsq(design, np.append(error + 2 * columns[:, 1], 0.0), rcond=None)[0]
+    assert score.coefficient == pytest.approx(full[1:], rel=1e-8)
+
+
+def test_a_copy_of_fitted_columns_says_nothing(problem):
+    columns, error = problem
+    # The prior of a column as informative as this is nothing beside the data.
+    base = 1e6 * columns[:, :2]
+    copy = 2 * base[:, :1] - base[:, 1:2]
+    book = book_of(base, [copy], error)
+    assert book.beside().score(book.entries[0]) is None
+
+
+def test_slow_noise_makes_scatter_and_not_weight():
+    """A random walk of blocks in the errors makes nominal gains huge; the statistic stays a chi-squared."""
+    rng = np.random.default_rng(2)
+    column = np.sin(np.arange(ROWS) / 900)[:, None]
+    statistics, gains = [], []
+    for _ in range(100):
+        slow = np.repeat(rng.standard_normal(BLOCKS), ROWS // BLOCKS)
+        score = score_of(book_of(np.zeros((ROWS, 0)), [column], slow + rng.standard_normal(ROWS)))
+        statistics.append(score.gain / score.scatter)
+        gains.append(score.gain)
+    assert np.mean(gains) > 20
+    assert 0.4 < np.mean(statistics) < 1.4
+
+
+def many(rng: np.random.Generator, size: float = 0.0) -> list[Score]:
+    """Eight shapes of one to six columns on white noise, and the first at a size."""
+    base = rng.standard_normal((640, 2))
+    shapes = [rng.standard_normal((640, width)) for width in (1, 1, 3, 6) * 2]
+    error = rng.standard_normal(640) + size * shapes[0][:, 0]
+    return book_of(base, shapes, error).scores()
+
+
+@pytest.mark.fit
+def test_the_largest_of_all_shapes_is_beyond_its_null_as_often_as_is_stated():
+    """Pure noise, a thousand worlds through the whole search: at the 5 % point of Gumbel's distribution some 5 %."""
+    rng = np.random.default_rng(4)
+    at_five, beyond = -np.log(-np.log(0.95)), 0
+    for _ in range(1000):
+        scores = many(rng)
+        null = null_of(scores, rng)
+        assert null is not None
+        beyond += null.excess(max(score.weight for score in scores)) > at_five
+    assert 0.02 < beyond / 1000 < 0.08
+
+
+def test_power_rises_with_size():
+    found = []
+    for size in (0.0, 0.15, 0.3, 0.6):
+        rng, excess = np.random.default_rng(5), []
+        for _ in range(20):
+            scores = many(rng, size)
+            null = null_of(scores, rng)
+            assert null is not None
+            excess.append(null.excess(scores[0].weight))
+        found.append(np.mean(excess))
+    assert found[0] < 0 < found[2]
+    assert np.all(np.diff(found) > 1.0)
+
+
+def test_a_detectable_size_is_detected_as_often_as_it_says():
+    rng = np.random.default_rng(6)
+    column = rng.standard_normal((ROWS, 1))
+    nothing = np.zeros((ROWS, 0))
+    size = score_of(book_of(nothing, [column], rng.standard_normal(ROWS))).detectable(15.0)
+    reached = [
+        score_of(book_of(nothing, [column], size * column[:, 0] + rng.standard_normal(ROWS))).weight
+        for _ in range(100)
+    ]
+    assert 0.8 < np.mean(reached) / 15.0 < 1.2
+
+
+def test_errors_of_a_fifth_of_all_folds_are_those_of_parameters_fitted_to_the_others(problem):
+    """Held out by hand: the regression on the other blocks, of which the prediction of a fold is made."""
+    from types import SimpleNamespace
+
+    from motorlens_workbench.evidence.held_out import FOLDS, held_out_errors
+
+    columns, error = problem
+    base = columns[:, :2]
+    book = book_of(base, [], error)
+    line = SimpleNamespace(error=error[:, None], own=base[:, None, :], keys=book.keys, r=0)
+    (found,) = held_out_errors(book, [line])  # type: ignore[list-item]
+    fold = np.repeat(np.arange(BLOCKS) % FOLDS, ROWS // BLOCKS)
+    for k in range(FOLDS):
+        kept = fold != k
+        design = np.vstack([base[kept], np.eye(2)])
+        fitted = np.linalg.lstsq(design, np.append(error[kept], [0.0, 0.0]), rcond=None)[0]
+        assert found[~kept, 0] == pytest.approx((error - base @ fitted)[~kept], abs=1e-9)
+
+
+def test_a_named_size_beyond_physics_is_not_possible():
+    rng = np.random.default_rng(7)
+    column = 1e-3 * rng.standard_normal((ROWS, 1))
+    book = book_of(np.zeros((ROWS, 0)), [column], 1e3 * column[:, 0] + rng.standard_normal(ROWS))
+    entry = book.entries[0]
+    named = replace(entry, hypothesis=replace(entry.hypothesis, kind="effect"))
+    free, bound = book.beside().score(entry), book.beside().score(named)
+    assert free is not None and free.possible
+    assert bound is not None and not bound.possible

@@ -1,0 +1,46 @@
+"""Every number that decides a diagnosis, with what it rests on and the command that shows it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """The numbers.
+
+    The first four say when a hypothesis is beyond what recordings show in which nothing is missing
+    (`python benchmarks/null.py --count 60 --seed 1`, and 2, prints how large the largest of them gets: all but three of 120
+    worlds stay below, and those are near standstill at one sample a second). Flips of signs alone would put `excess` and
+    `unnamed` near 5: misfit that is no missing physics has the same sign in every block.
+
+    Attributes:
+        excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode.
+        unnamed: the same of a term without one.
+        colour: share of the likelihood that colour left in the noise wins, by which a name must raise it. Where the noise is
+            not what the model of it says, as much has other reasons.
+        unnamed_colour: the same of a term without a name.
+        doubt: relative uncertainty of the correction for noise of the inputs: that of a variance estimated from some
+            hundred independent samples.
+        alike: share of what a name explains by which another may explain less and still stand in its place.
+        instead: share of what a name explains that a term without one must explain for the name not to be the whole truth.
+        largest: multiples of its typical size that an effect or a fault may have, one standard deviation.
+        tempered: how many times as wide as the likelihood says the weights of rivals are.
+        credible: probability that a group of rivals holds.
+        blocks: of time, between which scatter is seen.
+        effects: that are looked for at most.
+    """
+
+    excess: float = 12.0
+    unnamed: float = 30.0
+    colour: float = 0.002
+    unnamed_colour: float = 0.12
+    doubt: float = 0.2
+    alike: float = 0.003
+    instead: float = 0.1
+    largest: float = 10.0
+    tempered: float = 4.0
+    credible: float = 0.95
+    blocks: int = 64
+    effects: int = 3
+
+
+CRITERIA = Criteria()

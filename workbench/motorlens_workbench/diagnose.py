@@ -1,0 +1,83 @@
+"""What is missing from a model: prepare, estimate, hold the contest; `verdict` and `experiments` take it from there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.shaft import followed
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.recording import Recording
+from motorlens_workbench.contest import Outcome, Progress, contest
+from motorlens_workbench.fitted import Fitted
+from motorlens_workbench.hypotheses.dead_channels import DeadChannel, dead_channels, without
+
+
+@dataclass(frozen=True)
+class Finding:
+    """All that the diagnosis found out, before it is put in words.
+
+    Attributes:
+        base: the estimate without any hypothesis.
+        outcome: of the contest.
+        dead: channels that follow nothing, left out of all the rest.
+    """
+
+    base: Estimate
+    outcome: Outcome
+    dead: tuple[DeadChannel, ...] = ()
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The recordings, with delays taken out."""
+        return self.base.runs
+
+
+def diagnose(
+    file: MotorFile,
+    recordings: Sequence[Recording],
+    own: Sequence[type[Effect]] = (),
+    say: Progress = lambda text: None,
+) -> Finding:
+    """Look for what is missing from a motor file.
+
+    Args:
+        file: the motor.
+        recordings: of one motor.
+        own: effects from outside the catalogue.
+        say: told what is being done.
+
+    Raises:
+        DataError: a recording that cannot be used.
+        ModelError: the model cannot be simulated at all.
+    """
+    runs = prepare_all(recordings, file)
+    dead = dead_channels(file, runs)
+    if dead:
+        say(f"leaving out {', '.join(f'{one.channel} of {one.recording} ({one.state})' for one in dead)}")
+    say("estimating the motor")
+    base = base_fit(file, without(runs, dead))
+    return Finding(base, contest(fitted_of(base), own, say), dead)
+
+
+def base_fit(file: MotorFile, runs: Sequence[Run], say: Progress = lambda text: None) -> Estimate:
+    """The motor estimated, its shaft followed where that is possible, its converters' lean known."""
+    found = estimate(file, runs, progress=say)
+    leans = any(converter.step for run in runs for converter in run.converters)
+    turned = any(state.kind == "angle" for effect in file.motor.effects for state in effect.states.values())
+    seen = []
+    for r, run in enumerate(found.runs):
+        trajectory, y = predict(found.fit.model, run, r)
+        seen.append(followed(run.leaning(y) if leans else run, trajectory, y))
+    return (
+        estimate(file, seen, begin=found.fit.model) if leans or turned else replace(found, runs=tuple(seen))
+    )
+
+
+def fitted_of(found: Estimate) -> Fitted:
+    """Where a contest begins."""
+    fit = found.fit
+    # How likely it is, is told where it stands.
+    return Fitted(fit.model, fit.prior, found.runs, float("inf"), fit.covariance)

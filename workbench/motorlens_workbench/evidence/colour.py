@@ -1,0 +1,39 @@
+"""What is left of colour in the innovations of a run.
+
+The Kalman filter makes white what noise of the inputs and a slow torque leave in all channels. It takes the sensors' own
+noise as white; what that leaves of colour in the innovations, an autoregression takes out.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.whitening import Whitener, fit_whitener
+
+Array = NDArray[np.float64]
+
+# Smallest deviation of an innovation that is believed, in those that the noise states.
+SMALLEST = 1e-3
+
+
+def coloured(run: Run, white: Array, used: int) -> Whitener:
+    """The filter for what is left of colour in innovations (N, C).
+
+    Args:
+        run: the recording.
+        white: its innovations, in their standard deviations.
+        used: parameters already spent on them.
+    """
+    return fit_whitener(white, run.valid, np.full(white.shape[1], SMALLEST), used)
+
+
+def gain_of(run: Run, white: Array, whitener: Whitener) -> float:
+    """Twice the logarithmic likelihood that the filter for the colour of innovations (N, C) wins over none, at least 0.
+
+    It is a measure of what the model of the noise, or the model, does not explain.
+    """
+    left = whitener(white) * whitener.sigma
+    told = run.valid.copy()
+    told[: whitener.order] = False
+    before, after = (np.maximum(np.mean(y[told] ** 2, axis=0), SMALLEST**2) for y in (white, left))
+    return max(float(np.sum(told) * np.sum(np.log(before / after))), 0.0)

@@ -1,0 +1,63 @@
+"""The error on blocks of time that the parameters were not fitted to, and what noise alone would leave."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.free_run import floor_of
+from motorlens_physics.estimate.model import Model, predict
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.sensitivity import INITIAL
+from motorlens_workbench.evidence.ledger import Ledger, inverse
+from motorlens_workbench.hypotheses.line import Line
+
+Array = NDArray[np.float64]
+
+FOLDS = 6
+
+
+def held_out_errors(book: Ledger, lines: Sequence[Line]) -> list[Array]:
+    """(N, C) of each run, the error on each block of time with parameters that were not fitted to it.
+
+    The blocks of a fold are spread evenly over the recordings, so that each fold sees every operating region; the fitted
+    parameters are solved again, linearised, without each fold in turn. Where a run started is told by its first block
+    alone, and stays.
+    """
+    moving = [k for k, key in enumerate(book.keys) if not key.startswith(INITIAL)]
+    errors = [line.error.copy() for line in lines]
+    folds = np.arange(len(book.blocks)) % FOLDS
+    for fold in range(FOLDS):
+        kept = book.base[folds != fold].sum(axis=0)
+        gram = kept[np.ix_(moving, moving)] + np.eye(len(moving))
+        moves = dict(zip(moving, inverse(gram) @ (kept[moving, -1] + book.pull[moving]), strict=True))
+        for (r, rows), where in zip(book.blocks, folds, strict=True):
+            if where != fold:
+                continue
+            steps = [moves.get(book.keys.index(key), 0.0) * book.unit[key] for key in lines[r].keys]
+            errors[r][rows] -= lines[r].own[rows] @ np.array(steps)
+    return errors
+
+
+def held_out(book: Ledger, lines: Sequence[Line]) -> dict[str, float]:
+    """RMSE of each channel on blocks of time that the parameters were not fitted to."""
+    squares: dict[str, list[Array]] = {}
+    for line, error in zip(lines, held_out_errors(book, lines), strict=True):
+        for c, channel in enumerate(line.run.channels):
+            squares.setdefault(channel, []).append(error[line.run.there[:, c], c] ** 2)
+    return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
+
+
+def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
+    """The floor of each channel over runs from an estimate, see `free_run.floor_of`."""
+    squares: dict[str, list[tuple[float, int]]] = {}
+    for r, run in enumerate(runs):
+        plain = replace(run, corrections=None)
+        error = run.measured - predict(model, plain, r)[1]
+        for channel, floor in zip(run.channels, floor_of(model, plain, r, error), strict=True):
+            squares.setdefault(channel, []).append((float(floor**2), len(run.measured)))
+    return {
+        channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
+        for channel, parts in squares.items()
+    }

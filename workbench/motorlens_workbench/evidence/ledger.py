@@ -1,0 +1,426 @@
+"""The ledger: what every shape of every hypothesis has in common with what a model leaves, block of time by block.
+
+A shape is a few columns: what a unit of each would change in all measured channels. Columns and errors are filtered to
+innovations under the noise that was found in the recording, of sensors, of inputs and of a torque that nobody measured, so
+that all three are integrated out. Kept are the products with the fitted parameters' columns, with the errors, and within
+the shape; all else is algebra on them.
+
+Lagrange-multiplier (score) test: Breusch and Pagan (1980), doi:10.2307/2297111. Scatter between blocks: Liang and Zeger
+(1986), doi:10.1093/biomet/73.1.13, with the correction for leverage of MacKinnon and White (1985),
+doi:10.1016/0304-4076(85)90158-7.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtrc, chdtri, gammaln
+
+from motorlens_physics.estimate.innovations import innovations
+from motorlens_physics.estimate.noise import Noise
+from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.whitening import white as white_noise
+from motorlens_physics.threads import on_all_cores
+from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.colour import coloured, gain_of
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis, Shape
+from motorlens_workbench.hypotheses.line import Line
+
+Array = NDArray[np.float64]
+
+# Columns filtered at once, so that memory stays small on long recordings.
+CHUNK = 48
+# Share of its power that a column must keep beside the fitted parameters: below it, rounding alone is left.
+COPY = 1e-7
+# Degrees of freedom of what a motor file states: Student's t, for data sheets err by more than they say (Lange, Little and
+# Taylor 1989, doi:10.1080/01621459.1989.10478852).
+FREEDOM = 4.0
+# Share of a test that one block may bear before its scatter is taken as unknown.
+MOST_OF_IT = 0.9
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Sums over blocks of one shape of a hypothesis.
+
+    Attributes:
+        hypothesis: whose.
+        shape: which.
+        cross: (B, p + 1, k) products with the columns of the fitted parameters and, last, with the errors.
+        inner: (B, k, k) products within the shape.
+    """
+
+    hypothesis: Hypothesis
+    shape: Shape
+    cross: Array
+    inner: Array
+
+
+@dataclass(frozen=True)
+class Score:
+    """A shape against what a model leaves.
+
+    Attributes:
+        entry: the shape.
+        coefficient: (k,) its best size, in units of its columns.
+        covariance: (k, k) of that, scatter between blocks included.
+        information: (k, k) what white noise would make the inverse of that.
+        gain: twice the fall of the negative log likelihood.
+        scatter: between blocks, over what white noise would give, at least 1.
+        weight: minus the logarithm of the probability of as much by chance.
+        width: how many columns the recordings know.
+        rests: (B, k) score of each block beside the best size, corrected for leverage.
+        inverse: (k, k) of the information.
+        doubt: what `doubted` has added to the scatter.
+    """
+
+    entry: Entry
+    coefficient: Array
+    covariance: Array
+    information: Array
+    gain: float
+    scatter: float
+    weight: float
+    width: int
+    rests: Array
+    inverse: Array
+    doubt: float = 0.0
+
+    def doubted(self, doubt: float) -> "Score":
+        """With more scatter: what makes the score besides noise and what is missing."""
+        scatter = self.scatter + doubt
+        return replace(
+            self,
+            scatter=scatter,
+            covariance=self.covariance * (scatter / self.scatter),
+            weight=-log_chance(self.gain / scatter, self.width),
+            doubt=self.doubt + doubt,
+        )
+
+    def winning(self, gain: float) -> "Score":
+        """With no more gain than this."""
+        gain = float(np.clip(gain, 0.0, self.gain))
+        return replace(self, gain=gain, weight=-log_chance(gain / self.scatter, self.width))
+
+    @property
+    def name(self) -> str:
+        """Of the hypothesis."""
+        return self.entry.hypothesis.name
+
+    @property
+    def possible(self) -> bool:
+        """Whether the size is within its limits, but for two standard deviations, and no wonder of nature.
+
+        A size far beyond what such an effect can have is the mark of a column that hardly differs from what parameters do.
+        """
+        if self.entry.hypothesis.named and np.hypot(*self.coefficient[[0, -1]]) > 3 * CRITERIA.largest:
+            return False
+        if len(self.coefficient) != 1:
+            return True
+        low, high = self.entry.shape.limits()
+        slack = 2 * float(np.sqrt(self.covariance[0, 0]))
+        return bool(low - slack <= self.coefficient[0] <= high + slack)
+
+    def detectable(self, weight: float) -> float:
+        """The size of a single column at which `weight` would be expected, in units of the column."""
+        gain = float(chdtri(1, np.exp(-min(weight, 700.0))))
+        return float(np.sqrt(gain * self.scatter / max(self.information[0, 0], 1e-300)))
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """All sums.
+
+    Attributes:
+        keys: the fitted parameters.
+        unit: of their columns.
+        base: (B, p + 1, p + 1) products of their columns, in these units, and of the errors.
+        pull: (p,) how far the prior would have each parameter, in units.
+        entries: one per shape.
+        blocks: which run and which of its samples each block is.
+        colour: what is left of colour in what was taken for noise, see `colour.gain_of`; 0 if it was not looked at.
+    """
+
+    keys: tuple[str, ...]
+    unit: Mapping[str, float]
+    base: Array
+    pull: Array
+    entries: tuple[Entry, ...]
+    blocks: tuple[tuple[int, slice], ...]
+    colour: float = 0.0
+
+    @property
+    def belief(self) -> Array:
+        """(p,) weight of each prior, that of Student's t at where the parameter is: a file may simply be wrong."""
+        return np.minimum((FREEDOM + 1) / (FREEDOM + self.pull**2), 1.0)
+
+    def entry_of(self, key: str, hypothesis: Hypothesis, shape: Shape) -> Entry:
+        """A fitted parameter as a shape of its own."""
+        c = self.keys.index(key)
+        return Entry(hypothesis, shape, self.base[:, :, c : c + 1], self.base[:, c : c + 1, c : c + 1])
+
+    def beside(
+        self, given: Sequence[str] | None = None, target: Mapping[str, float] | None = None
+    ) -> "Beside":
+        """What is left once fitted parameters have explained all they can of every shape and of the errors.
+
+        Args:
+            given: these parameters; None is all.
+            target: sizes, in units, of columns that are added to the errors: what they explain counts as missing.
+        """
+        given = self.keys if given is None else given
+        at = np.array([self.keys.index(key) for key in given], dtype=np.intp)
+        mix = np.zeros(len(self.keys) + 1)
+        mix[-1] = 1.0
+        for key, size in (target or {}).items():
+            mix[self.keys.index(key)] = size
+        right = self.base[:, at] @ mix
+        power = np.einsum("i,bij,j->b", mix, self.base, mix)
+        return Beside(self, at, mix, self.base[:, at[:, None], at], right, power)
+
+    def scores(
+        self, given: Sequence[str] | None = None, target: Mapping[str, float] | None = None
+    ) -> list[Score]:
+        """Every shape of which the recordings can say anything, see `beside`."""
+        beside = self.beside(given, target)
+        return [score for entry in self.entries if (score := beside.score(entry)) is not None]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Sums from which some fitted parameters are projected.
+
+    Attributes:
+        ledger: the sums.
+        at: (q,) positions of these parameters.
+        mix: (p + 1,) what counts as error.
+        gram: (B, q, q) their products.
+        right: (B, q) theirs with the error.
+        power: (B,) squares of the error.
+    """
+
+    ledger: Ledger
+    at: NDArray[np.intp]
+    mix: Array
+    gram: Array
+    right: Array
+    power: Array
+
+    @cached_property
+    def inverse(self) -> Array:
+        """(q, q); the prior keeps it regular."""
+        total = self.gram.sum(axis=0) + np.diag(self.ledger.belief[self.at])
+        return np.asarray(cho_solve(cho_factor(total), np.eye(len(self.at))))
+
+    @cached_property
+    def moves(self) -> Array:
+        """(q,) how the parameters would move, in units."""
+        return np.asarray(
+            self.inverse @ (self.right.sum(axis=0) + self.ledger.belief[self.at] * self.ledger.pull[self.at])
+        )
+
+    def projected(self, entry: Entry) -> tuple[Array, Array]:
+        """(B + 1, k) and (B + 1, k, k): score and information of each block; the last is what the priors say."""
+        cross = entry.cross[:, self.at]
+        weights = self.inverse @ cross.sum(axis=0)
+        own = entry.cross.transpose(0, 2, 1) @ self.mix
+        score = own - self.right @ weights - self.moves @ cross
+        score += (self.gram @ self.moves) @ weights
+        half = weights.T @ (0.5 * self.gram @ weights - cross)
+        inner = entry.inner + half + half.transpose(0, 2, 1)
+        belief = self.ledger.belief[self.at]
+        prior = -weights.T @ (belief * (self.ledger.pull[self.at] - self.moves))
+        known = (weights.T * belief) @ weights
+        return np.vstack([score, prior]), np.concatenate([inner, known[None]])
+
+    def moves_with(self, entry: Entry, size: Array) -> Array:
+        """(q,) how the parameters would move beside a shape of that size (k,), in units."""
+        return np.asarray(self.moves - self.inverse @ entry.cross[:, self.at].sum(axis=0) @ size)
+
+    def score(self, entry: Entry) -> Score | None:
+        """The test of a shape; None where fitted parameters can do all that it does."""
+        by_block, inner = self.projected(entry)
+        raw = np.diagonal(entry.inner.sum(axis=0))
+        kept = np.diagonal(inner.sum(axis=0)) > COPY * np.maximum(raw, 1e-300)
+        if not kept.any() or (len(kept) <= 2 and not kept.all()):
+            return None
+        by_block, inner = by_block * kept, inner * np.outer(kept, kept)
+        information = inner.sum(axis=0)
+        precision = information.copy()
+        if entry.hypothesis.named:
+            precision += np.eye(len(kept)) / CRITERIA.largest**2
+        back = inverse(precision[np.ix_(kept, kept)])
+        whole = np.zeros_like(information)
+        whole[np.ix_(kept, kept)] = back
+        total = by_block.sum(axis=0)
+        size = whole @ total
+        share = np.clip(np.einsum("ij,bji->b", whole, inner) / kept.sum(), 0.0, MOST_OF_IT)
+        rests = (by_block - inner @ size) / (1 - share)[:, None]
+        scatter = scatter_of(rests, whole, int(kept.sum()))
+        gain = float(total @ size)
+        weight = -log_chance(gain / scatter, int(kept.sum()))
+        return Score(
+            entry, size, whole * scatter, information, gain, scatter, weight, int(kept.sum()), rests, whole
+        )
+
+
+def scatter_of(rests: Array, inverse_: Array, width: int) -> float:
+    """How much more scores (B, k) of blocks scatter than white noise, at least 1; slow noise shows between longer blocks."""
+    worst = 1.0
+    for merged in (1, 2, 4):
+        joined = np.add.reduceat(rests, np.arange(0, len(rests), merged), axis=0)
+        worst = max(worst, float(np.sum(inverse_ * (joined.T @ joined))) / width)
+    return worst
+
+
+def log_chance(statistic: float, width: int) -> float:
+    """Logarithm of the probability that a chi-squared variable is larger; its asymptote where that is nought.
+
+    >>> round(log_chance(3.84, 1), 2), round(log_chance(4000.0, 2))
+    (-3.0, -2000)
+    """
+    told = float(chdtrc(width, statistic))
+    if told > 1e-300:
+        return float(np.log(told))
+    half = statistic / 2
+    return float(-half + (width / 2 - 1) * np.log(half) - gammaln(width / 2))
+
+
+def inverse(gram: Array) -> Array:
+    """Of a symmetric matrix; directions of which rounding alone is left count as unknown."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    keep = values > 1e-11 * values[-1]
+    return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(scale, scale))
+
+
+def layout(lines: Sequence[Line]) -> tuple[tuple[int, slice], ...]:
+    """The blocks of time: which run, which of its samples."""
+    samples = sum(len(line.error) for line in lines)
+    blocks: list[tuple[int, slice]] = []
+    for r, line in enumerate(lines):
+        rows = len(line.error)
+        wanted = min(max(round(CRITERIA.blocks * rows / samples), CRITERIA.blocks // 3), rows // 8)
+        edges = np.linspace(0, rows, max(wanted, 1) + 1).astype(int)
+        blocks += [(r, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)]
+    return tuple(blocks)
+
+
+def ledger(
+    lines: Sequence[Line],
+    noises: Sequence[Noise],
+    prior: Prior,
+    hypotheses: Sequence[Hypothesis],
+    rests: Sequence[Array] | None = None,
+    *,
+    plain: bool = False,
+) -> Ledger:
+    """Filter and sum everything.
+
+    Args:
+        lines: the runs about one model.
+        noises: of each run.
+        prior: of the fitted parameters; a unit of a column is its standard deviation.
+        hypotheses: to be tested.
+        rests: (N, C) of each run, what is taken for noise; None is all of the errors.
+        plain: take the sensors' noise as white: what is missing must not hide in its colour.
+    """
+    keys, blocks = prior.keys, layout(lines)
+    shapes = [(hypothesis, shape) for hypothesis in hypotheses for shape in hypothesis.shapes]
+    values = lines[0].model.values()
+    pull = np.array([(prior.centre[key] - values[key]) / prior.sd[key] for key in keys])
+
+    def of_run(r: int) -> tuple[Array, list[tuple[Array, Array]], float]:
+        rest = lines[r].error if rests is None else rests[r]
+        return _sums(
+            lines[r],
+            noises[r],
+            None if plain else rest,
+            keys,
+            prior,
+            [rows for k, rows in blocks if k == r],
+            shapes,
+        )
+
+    parts = on_all_cores(of_run, range(len(lines)))
+    base = np.concatenate([part[0] for part in parts])
+    entries = tuple(
+        Entry(
+            hypothesis,
+            shape,
+            np.concatenate([part[1][j][0] for part in parts]),
+            np.concatenate([part[1][j][1] for part in parts]),
+        )
+        for j, (hypothesis, shape) in enumerate(shapes)
+    )
+    return Ledger(keys, prior.sd, base, pull, entries, blocks, sum(part[2] for part in parts))
+
+
+def _sums(
+    line: Line, noise: Noise, rest: Array | None, keys: Sequence[str], prior: Prior, blocks: Sequence[slice],
+    shapes: Sequence[tuple[Hypothesis, Shape]],
+) -> tuple[Array, list[tuple[Array, Array]], float]:  # fmt: skip
+    space = noise.space(line.run, line.linear, line.run.there)
+    unit = np.array([prior.sd[key] for key in line.keys])
+    table = np.concatenate([line.own * unit, line.error[:, :, None]], axis=2)
+    whitener, colour = white_noise(np.ones(line.error.shape[1])), 0.0
+    if rest is not None:
+        left = innovations(space, rest[:, :, None]).white[:, :, 0]
+        whitener = coloured(line.run, left, len(line.keys))
+        colour = gain_of(line.run, left, whitener)
+    white = whitener(innovations(space, table).white)
+    wide = np.zeros((*white.shape[:2], len(keys) + 1))
+    wide[:, :, [*(list(keys).index(key) for key in line.keys), len(keys)]] = white
+    base = np.array([_products(wide[rows], wide[rows]) for rows in blocks])
+    sums: list[tuple[Array, Array]] = []
+    for chunk in _chunks([shape for _, shape in shapes]):
+        columns = np.concatenate([shape.columns(line) for shape in chunk], axis=2)
+        filtered = whitener(innovations(space, columns).white)
+        cross = np.array([_products(wide[rows], filtered[rows]) for rows in blocks])
+        inner = np.array([_products(filtered[rows], filtered[rows]) for rows in blocks])
+        first = 0
+        for shape in chunk:
+            own = slice(first, first + shape.width)
+            sums.append((cross[:, :, own], inner[:, own, own]))
+            first += shape.width
+    return base, sums, colour
+
+
+def common(lines: Sequence[Line], noises: Sequence[Noise], prior: Prior, shapes: Sequence[Shape]) -> Array:
+    """(p + k, p + k) products of the fitted parameters' columns and those of some shapes, all runs together."""
+    keys, width = list(prior.keys), sum(shape.width for shape in shapes)
+    total = np.zeros((len(keys) + width, len(keys) + width))
+    for line, noise in zip(lines, noises, strict=True):
+        unit = np.array([prior.sd[key] for key in line.keys])
+        columns = [line.own * unit, *(shape.columns(line) for shape in shapes)]
+        space = noise.space(line.run, line.linear, line.run.there)
+        errors = innovations(space, line.error[:, :, None]).white[:, :, 0]
+        whitener = coloured(line.run, errors, len(line.keys))
+        white = whitener(innovations(space, np.concatenate(columns, axis=2)).white)
+        at = [*(keys.index(key) for key in line.keys), *range(len(keys), len(keys) + width)]
+        total[np.ix_(at, at)] += _products(white, white)
+    return total
+
+
+def _products(a: Array, b: Array) -> Array:
+    return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
+
+
+def _chunks(shapes: Sequence[Shape]) -> Iterator[list[Shape]]:
+    chunk: list[Shape] = []
+    for shape in shapes:
+        if chunk and sum(one.width for one in chunk) + shape.width > CHUNK:
+            yield chunk
+            chunk = []
+        chunk.append(shape)
+    if chunk:
+        yield chunk
+
+
+def with_entries(book: Ledger, entries: Sequence[Entry]) -> Ledger:
+    """The ledger with further shapes."""
+    return replace(book, entries=(*book.entries, *entries))

@@ -1,0 +1,56 @@
+"""How much the best of all hypotheses explains where nothing is missing, in this very recording.
+
+The search over hundreds of shapes is paid for: the signs of whole blocks of time are flipped, which keeps the noise within
+them as it is and takes away what a missing effect would have in common, and the best of all shapes is looked up again (wild
+cluster bootstrap: Cameron, Gelbach and Miller 2008, doi:10.1162/rest.90.3.414; the maximum: Westfall and Young 1993,
+ISBN 978-0-471-55761-6). The largest of many has Gumbel's distribution.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from motorlens_workbench.evidence.ledger import Score
+
+Array = NDArray[np.float64]
+
+FLIPS = 300
+EULER = 0.5772156649
+
+
+@dataclass(frozen=True)
+class Null:
+    """Gumbel's distribution of the largest weight.
+
+    Attributes:
+        mode: its most probable value.
+        scale: its width.
+    """
+
+    mode: float
+    scale: float
+
+    def excess(self, weight: float) -> float:
+        """How far a weight lies beyond the mode, in widths."""
+        return (weight - self.mode) / self.scale
+
+    def weight(self, excess: float) -> float:
+        """The weight that lies so far beyond."""
+        return self.mode + excess * self.scale
+
+
+def null_of(scores: Sequence[Score], rng: np.random.Generator) -> Null | None:
+    """The null of the largest weight of some scores; None without any."""
+    if not scores:
+        return None
+    signs = rng.choice([-1.0, 1.0], (FLIPS, len(scores[0].rests)))
+    best = np.zeros(FLIPS)
+    for score in scores:
+        flipped = signs @ score.rests
+        statistic = np.einsum("ij,jk,ik->i", flipped, score.inverse, flipped) / score.scatter
+        best = np.maximum(best, -np.log(chdtrc(score.width, np.minimum(statistic, 1300.0))))
+    scale = max(float(np.std(best)) * np.sqrt(6) / np.pi, 1e-3)
+    return Null(float(np.mean(best)) - EULER * scale, scale)

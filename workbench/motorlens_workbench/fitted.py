@@ -1,0 +1,70 @@
+"""A model fitted to recordings, and a hypothesis that would be added to it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.noise import Noise
+from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.run import Run
+from motorlens_workbench.evidence.ledger import Score
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to runs under their noise.
+
+    Attributes:
+        model: with its parameters.
+        prior: of the free ones.
+        runs: with their noise and corrected inputs.
+        cost: squares of its innovations and of what moved against the priors.
+        covariance: (p, p) of `prior.keys`, as the noise alone makes it.
+    """
+
+    model: Model
+    prior: Prior
+    runs: tuple[Run, ...]
+    cost: float
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Challenger:
+    """A hypothesis, weighed with as much of an unmeasured torque as it would leave.
+
+    Attributes:
+        score: of its best shape.
+        noises: of each run.
+        colour: that is left in the noise, see `Ledger`.
+        won: twice the rise of the logarithmic likelihood of what is left, as noise, each with a noise of its own.
+    """
+
+    score: Score
+    noises: tuple[Noise, ...]
+    colour: float
+    won: float
+
+    @property
+    def name(self) -> str:
+        """Of the hypothesis."""
+        return self.score.name
+
+    @property
+    def gain(self) -> float:
+        """Twice the fall of the negative log likelihood."""
+        return self.score.gain
+
+    @property
+    def weight(self) -> float:
+        """Minus the logarithm of the probability of as much by chance."""
+        return self.score.weight
+
+    @property
+    def named(self) -> bool:
+        """Whether a model can be built with it."""
+        return self.score.entry.hypothesis.named

@@ -1,0 +1,1 @@
+"""What may be missing: effects, sensor faults, and terms without a name, all of them competitors."""

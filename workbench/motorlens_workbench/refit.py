@@ -1,0 +1,141 @@
+"""The whole model fitted again with a hypothesis in it, or without one: does what the linearised problem promised hold?"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.fit import inverse, minimise
+from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
+from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.weighed import Weighed, minimised, weighed
+from motorlens_runtime.errors import ModelError
+from motorlens_workbench.evidence.ledger import Beside, Score
+from motorlens_workbench.fitted import Fitted
+from motorlens_workbench.hypotheses.effects import EffectShape, phase_of
+from motorlens_workbench.hypotheses.sensors import SensorShape
+
+Array = NDArray[np.float64]
+
+# Steps of a refit, and how near to the minimum it ends, in standard deviations of the result: rivals differ by more.
+ROUNDS, ENOUGH = 10, 0.3
+# See `minimise`: nothing that can only be positive falls to less than this share of itself in one step.
+NEAREST = 0.1
+# Share of the gain that the linearised problem promised below which a refit has lost its way and is begun elsewhere.
+KEPT = 0.5
+# A linear start is not quite at null, where shapes would be undetermined.
+LEAST = 1e-3
+
+
+def refit(model: Model, prior: Prior, runs: Sequence[Run]) -> Fitted | None:
+    """Fit a model from where it is, the noise as it is; None if it leads where nothing can be simulated."""
+    try:
+        point = _point(model, prior, runs)
+        point, gram, _ = minimise(
+            point,
+            prior,
+            lambda trial: _point(trial, prior, runs),
+            rounds=ROUNDS,
+            enough=ENOUGH,
+            nearest=NEAREST,
+        )
+    except ModelError:
+        return None
+    cost = point.cost + prior.penalty(point.model.values())
+    return Fitted(point.model, prior, tuple(runs), cost, inverse(gram))
+
+
+def settled(fitted: Fitted) -> Fitted:
+    """Fitted to the end, the noise and the inputs' corrections found along.
+
+    Raises:
+        ModelError: it leads where nothing can be simulated.
+    """
+    point = _point(fitted.model, fitted.prior, fitted.runs)
+    point, gram, _ = minimised(point, fitted.prior, lambda text: None, outliers=False)
+    runs = tuple(replace(part.run, noise=part.noise) for part in point.parts)
+    cost = point.cost + fitted.prior.penalty(point.model.values())
+    return Fitted(point.model, fitted.prior, runs, cost, inverse(gram))
+
+
+def _point(model: Model, prior: Prior, runs: Sequence[Run]) -> Weighed:
+    noises = []
+    for run in runs:
+        assert run.noise is not None
+        noises.append(run.noise)
+    return weighed(model, runs, noises, [run.there for run in runs], prior.keys)
+
+
+def with_hypothesis(fitted: Fitted, beside: Beside, score: Score) -> Fitted | None:
+    """The model fitted again with a hypothesis, under the noise that the model has; None if no start can be simulated.
+
+    It starts where the linearised problem ends, and if that loses its way from the model as it is, the hypothesis at its
+    typical size.
+    """
+    shape = score.entry.shape
+    assert isinstance(shape, EffectShape | SensorShape)
+    moved = _moved(fitted, beside, score)
+    best = refit(*_added(fitted, _part(shape, _sizes(score)), moved), fitted.runs)
+    if best is None or fitted.cost - best.cost < KEPT * score.gain:
+        typical = np.eye(shape.width)[0] * np.sign(score.coefficient[0] or 1.0)
+        other = refit(*_added(fitted, _part(shape, typical), moved={}), fitted.runs)
+        if other is not None and (best is None or other.cost < best.cost):
+            best = other
+    return best
+
+
+def without_hypothesis(fitted: Fitted, name: str) -> Fitted | None:
+    """The model fitted again without an effect or a sensor's fault; None if it cannot be simulated."""
+    model = without_part(fitted.model, name)
+    values = model.values()
+    return refit(model, fitted.prior.only([key for key in fitted.prior.keys if key in values]), fitted.runs)
+
+
+def _sizes(score: Score) -> Array:
+    if len(score.coefficient) > 1:
+        return score.coefficient
+    low, high = score.entry.shape.limits()
+    size = float(np.clip(score.coefficient[0], low, high))
+    return np.array([size if abs(size) > LEAST else LEAST * (1.0 if high > 0 else -1.0)])
+
+
+def _part(shape: EffectShape | SensorShape, sizes: Array) -> Effect | object:
+    if isinstance(shape, SensorShape):
+        switch = shape.sensor.switch()
+        assert switch is not None and switch.null is not None
+        typical = getattr(shape.sensor, switch.name)
+        return replace(shape.sensor, **{switch.name: switch.null + sizes[0] * (typical - switch.null)})
+    effect = shape.parts[0]
+    switch = type(effect).switch()
+    assert switch.null is not None
+    typical = getattr(effect, switch.name) - switch.null
+    if len(sizes) == 1:
+        return replace(effect, **{switch.name: switch.null + float(sizes[0]) * typical})
+    # sin(N phi + p) = sin(N phi) cos p + cos(N phi) sin p
+    amplitude, phase = float(np.hypot(*sizes)), float(np.arctan2(sizes[1], sizes[0]))
+    return replace(effect, **{switch.name: switch.null + amplitude * typical, phase_of(type(effect)): phase})
+
+
+def _added(fitted: Fitted, part: object, moved: dict[str, float]) -> tuple[Model, Prior]:
+    model = (
+        with_effect(fitted.model, part) if isinstance(part, Effect) else with_sensor(fitted.model, part)  # type: ignore[arg-type]
+    )
+    name = part.name()  # type: ignore[attr-defined]
+    prior = fitted.prior.joined(part_prior(model.file, name)).joined(start_prior(model, name))
+    return model.with_values(moved), prior
+
+
+def _moved(fitted: Fitted, beside: Beside, score: Score) -> dict[str, float]:
+    """The fitted parameters moved along, as the linearised problem has them beside the hypothesis."""
+    values, prior = fitted.model.values(), fitted.prior
+    steps = beside.moves_with(score.entry, score.coefficient)
+    moved = {}
+    for key, step in zip(prior.keys, steps, strict=True):
+        low, high = prior.bounds[key]
+        if low >= 0 and values[key] > 0:
+            low = max(low, NEAREST * values[key])
+        moved[key] = float(np.clip(values[key] + step * prior.sd[key], low, high))
+    return moved

@@ -1,0 +1,231 @@
+"""The diagnosis as JSON (schema motorlens.diagnose/1) and as text."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from motorlens_workbench.contest import needed_weight
+from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.diagnose import Finding
+from motorlens_workbench.evidence.held_out import held_out, pooled_floor
+from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.experiments import Experiment
+from motorlens_workbench.hypotheses.changes import Change
+from motorlens_workbench.hypotheses.contact import Contact
+from motorlens_workbench.hypotheses.courses import Course
+from motorlens_workbench.hypotheses.dead_channels import DeadChannel
+from motorlens_workbench.hypotheses.memory import Memory
+from motorlens_workbench.verdict import Verdict, detectable, measured, seen_named, sizes
+
+SHOWN = 12
+
+
+def to_json(
+    found: Finding, verdict: Verdict, experiment: Experiment | None, recordings: Sequence[str], motor: str
+) -> dict[str, Any]:
+    """The document of `motorlens diagnose --json`, schema `motorlens.diagnose/1`."""
+    first, last = seen_named(found.outcome.first), seen_named(found.outcome.last)
+    dead = {one.name for one in found.dead}
+    names = [name for name in {**first, **last, **dict.fromkeys(verdict.chosen)} if name not in dead]
+    entries = [_candidate(found, verdict, name, first.get(name), last.get(name)) for name in names]
+    entries.sort(
+        key=lambda entry: (entry["name"] not in verdict.chosen, -entry["probability"], -entry["statistic"])
+    )
+    document: dict[str, Any] = {
+        "schema": "motorlens.diagnose/1",
+        "motor": motor,
+        "recordings": list(recordings),
+        "verdict": verdict.kind,
+        "sentence": sentence(found, verdict),
+        "chosen": list(verdict.chosen),
+        "groups": [list(group) for group in verdict.groups],
+        "equation": verdict.equation,
+        "candidates": [*(_dead(one) for one in found.dead), *entries],
+        "error": errors(found),
+        "cannot_tell": list(verdict.untold),
+        "criteria": {**asdict(CRITERIA), "needed": _needed(found)},
+    }
+    if experiment is not None:
+        document["separating_experiment"] = {
+            "test": experiment.test, "separates": list(experiment.separates), "seconds": experiment.seconds,
+            "why": experiment.why, "with_sensor": experiment.with_sensor, "bare": experiment.bare,
+            "check": list(experiment.check),
+        }  # fmt: skip
+    if verdict.shape is not None:
+        shape: Any = verdict.shape.entry.shape
+        x, y, sd = shape.values(verdict.shape.coefficient, verdict.shape.covariance)
+        document["unknown_shape"] = {
+            "term": shape.term, "against": shape.against, "unit": shape.unit,
+            "x": x.tolist(), "y": y.tolist(), "sd": sd.tolist(),
+        }  # fmt: skip
+    return document
+
+
+def _needed(found: Finding) -> float | None:
+    last = found.outcome.last
+    return float(needed_weight(last, found.outcome.accepted)) if last.null else None
+
+
+def errors(found: Finding) -> dict[str, Any]:
+    """Held-out RMSE of each channel before and after, and the noise floor."""
+    first, last = found.outcome.first, found.outcome.last
+    before = held_out(first.book, first.lines)
+    after = held_out(last.book, last.lines) if found.outcome.accepted else before
+    floor = pooled_floor(last.fitted.model, last.fitted.runs)
+    return {"before": before, "after": after, "noise_floor": floor, "held_out": True}
+
+
+def _dead(one: DeadChannel) -> dict[str, Any]:
+    return {
+        "name": one.name, "kind": "sensor", "equation": one.channel, "gain": 0.0, "statistic": 0.0, "p": 0.0,
+        "probability": 1.0, "parameters": {"gain": {"value": one.gain, "sd": one.sd, "unit": "1"}},
+        "minimum_detectable": None, "why_not": "",
+    }  # fmt: skip
+
+
+def _candidate(
+    found: Finding, verdict: Verdict, name: str, first: Score | None, last: Score | None
+) -> dict[str, Any]:
+    accepted = next((one for one in found.outcome.accepted if one.hypothesis.name == name), None)
+    seen = first or last
+    hypothesis = accepted.hypothesis if accepted else seen.entry.hypothesis  # type: ignore[union-attr]
+    # Of what is in the model, the size that would have been seen is that of the look that saw it.
+    look = first if accepted else (last or first)
+    least = abs(hypothesis.typical) * detectable(found, look) if look else float("inf")
+    weight = accepted.weight if accepted else seen.weight if seen and seen.possible else 0.0
+    return {
+        "name": name,
+        "kind": hypothesis.kind,
+        "equation": hypothesis.equation,
+        "gain": accepted.gain if accepted else seen.gain if seen else 0.0,
+        "statistic": weight,
+        "p": float(np.exp(-weight)),
+        "probability": verdict.probability.get(name, 0.0),
+        "parameters": sizes(found, name),
+        "minimum_detectable": least if np.isfinite(least) else None,
+        "why_not": "" if seen is None or seen.possible else "a size that it cannot have",
+    }
+
+
+def sentence(found: Finding, verdict: Verdict) -> str:
+    """The verdict in one sentence."""
+    said = [f"{_words(name)}{_size(found, name)}" for name in verdict.chosen]
+    faults = {one.name for one in found.dead}
+    offered = []
+    for group, name in zip(verdict.groups, verdict.chosen, strict=True):
+        if group[0] in faults:
+            continue
+        names = [_words(one) for one in group]
+        offered.append(
+            f"{names[0]}{_size(found, name)}"
+            if len(names) == 1
+            else f"one of {', '.join(names[:-1])} or {names[-1]}"
+        )
+    if found.dead:
+        dead = [f"{one.channel} sensor of {one.recording} ({one.state})" for one in found.dead]
+        beside = f". Missing beside: {'; and '.join(offered)}" if offered else ""
+        return f"At fault: {' and '.join(dead)}{beside}."
+    if verdict.kind in ("named", "sensor_fault"):
+        what = "Missing" if verdict.kind == "named" else "At fault"
+        return f"{what}: {' and '.join(said)}."
+    if verdict.kind == "group":
+        return f"Missing: {'; and '.join(offered)}. These recordings cannot tell more."
+    if verdict.kind == "unknown":
+        assert verdict.shape is not None
+        rest = f"{_shape(verdict.shape)}"
+        if offered:
+            return (
+                f"Missing: {'; and '.join(offered)}; and in the {verdict.equation} equation something is left that no "
+                f"effect of the catalogue explains; {rest}."
+            )
+        return f"Something is missing in the {verdict.equation} equation that no effect explains; {rest}."
+    if verdict.kind == "not_testable":
+        return "These recordings cannot show whether anything is missing; why is among what they cannot tell."
+    return "Nothing is missing above the sizes listed: larger effects would have been seen."
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _shape(score: Score) -> str:
+    shape: Any = score.entry.shape
+    if isinstance(shape, Memory):
+        return f"it follows the past of the {shape.past} and is shown against the frequency of that, in {shape.unit}"
+    if isinstance(shape, Change):
+        by = 100 * shape.by(float(score.coefficient[0]))
+        return f"{shape.term} changes at once, by {by:+.2g} %, at {shape.at_s:.4g} s of {shape.recording}"
+    if isinstance(shape, Contact):
+        return (
+            f"{shape.term} comes and goes as with a loose contact: some {shape.by:.2g} {shape.unit} more for "
+            f"{100 * shape.share:.0f} % of the time, most in {shape.recording}"
+        )
+    _, y, _ = shape.values(score.coefficient, score.covariance)
+    size = f"{float(np.ptp(y)):.2g} {shape.unit} from the least to the most"
+    if isinstance(shape, Course):
+        return f"{shape.parameter} is no constant but changes with {shape.against}, by {size}"
+    return f"a {shape.balance} against {shape.against}, {size}"
+
+
+def _size(found: Finding, name: str) -> str:
+    for one in found.outcome.accepted:
+        if one.hypothesis.name == name:
+            value, sd = measured(found, one)
+            key = one.hypothesis.key
+            unit = found.outcome.last.fitted.model.file.meaning(key).unit
+            return f" ({key.rpartition('.')[2]} = {value:.4g} +- {sd:.2g} {unit})"
+    return ""
+
+
+def to_text(document: Mapping[str, Any]) -> str:
+    """What the terminal shows."""
+    rows = [document["sentence"], ""]
+    error = document["error"]
+    rows.append(f"{'channel':<14}{'before':>12}{'after':>12}{'noise':>12}   RMSE on blocks of time held out")
+    for channel, before in error["before"].items():
+        rows.append(
+            f"{channel:<14}{before:>12.4g}{error['after'][channel]:>12.4g}{error['noise_floor'][channel]:>12.4g}"
+        )
+    rows += [
+        "",
+        f"{'hypothesis':<34}{'probability':>12}{'p by chance':>13}   {'size':<26}would have been seen from",
+    ]
+    for entry in document["candidates"][:SHOWN]:
+        rows.append(
+            f"{entry['name'].replace('_', ' '):<34}{entry['probability']:>12.2f}{entry['p']:>13.1e}   {size_text(entry):<26}"
+            f"{least_text(entry)}"
+        )
+    if document["cannot_tell"]:
+        rows += ["", *document["cannot_tell"]]
+    if "separating_experiment" in document:
+        test = document["separating_experiment"]
+        rows += ["", f"To tell {', '.join(test['separates'])} apart: {test['why']}"]
+    elif document["chosen"]:
+        rows += [
+            "",
+            f"Next: motorlens add {document['chosen'][0]} RECORDINGS --motor {document['motor']} -o better.toml",
+        ]
+    return "\n".join(rows)
+
+
+def size_text(entry: Mapping[str, Any]) -> str:
+    """The size of a candidate with its deviation and unit; "not seen" where it is within its own uncertainty."""
+    size = next(iter(entry["parameters"].values()), None)
+    if (
+        size is None
+        or not np.isfinite(size["sd"])
+        or abs(size["value"]) > 1e4 * (entry["minimum_detectable"] or np.inf)
+    ):
+        return "not seen"
+    if entry["probability"] == 0.0 and entry["p"] > 0.01:
+        return "not seen"
+    return f"{size['value']:.3g} +- {size['sd']:.2g} {size['unit']}"
+
+
+def least_text(entry: Mapping[str, Any]) -> str:
+    """The smallest size that would have been seen, with its unit."""
+    size = next(iter(entry["parameters"].values()), {"unit": ""})
+    least = entry["minimum_detectable"]
+    return "no size" if least is None else f"{least:.3g} {size['unit']}"

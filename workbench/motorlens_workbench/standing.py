@@ -1,0 +1,200 @@
+"""Where a contest stands: a fitted model, the runs about it, and what the recordings say of every hypothesis from there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.model import parts_of
+from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
+from motorlens_physics.estimate.weighed import BRIEFLY
+from motorlens_physics.threads import on_all_cores
+from motorlens_runtime.errors import ModelError
+from motorlens_workbench.evidence.ledger import Beside, Ledger, Score, ledger
+from motorlens_workbench.evidence.look import Look, look
+from motorlens_workbench.evidence.null import Null, null_of
+from motorlens_workbench.fitted import Challenger, Fitted
+from motorlens_workbench.hypotheses.courses import parameters_of
+from motorlens_workbench.hypotheses.everything import everything
+from motorlens_workbench.hypotheses.line import Line
+from motorlens_workbench.refit import refit
+
+Array = NDArray[np.float64]
+
+# Hypotheses of a look, with a name and without, of which the doubt is told, and that are weighed with a noise of their own.
+DOUBTED, STRONGEST = 15, 5
+# Share of the largest torque that could be left unmeasured below which there is none.
+NEGLIGIBLE = 1e-8
+# Signs are flipped with this seed: the same recordings get the same answer.
+SEED = 1993
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A fitted model and all that may be missing from it.
+
+    Attributes:
+        fitted: the model.
+        look: under the noise of the model.
+        null: of the largest weight; None where nothing can be tested.
+        challengers: the heaviest hypotheses, the heaviest first.
+    """
+
+    fitted: Fitted
+    look: Look
+    null: Null | None
+    challengers: tuple[Challenger, ...] = ()
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """Effects and sensor faults of the model."""
+        return tuple(part.name() for part in parts_of(self.fitted.model.file))
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """The runs about the model."""
+        return self.look.lines
+
+    @property
+    def book(self) -> Ledger:
+        """The sums."""
+        return self.look.book
+
+    @property
+    def scores(self) -> tuple[Score, ...]:
+        """Every shape of every hypothesis."""
+        return self.look.scores
+
+
+def stand(fitted: Fitted, own: Sequence[type[Effect]] = ()) -> Standing:
+    """Look at everything from a fitted model.
+
+    What is missing from the model must not hide in its noise. A torque that nobody measured, and colour of the sensors'
+    noise, are rivals of every hypothesis: all are looked at with them and without, and the heaviest of both looks are
+    weighed again under the noise that each of them would leave.
+
+    Raises:
+        ModelError: the model cannot be simulated.
+    """
+    lines = tuple(Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs))
+    listed, constants = everything(lines, own), _constants(lines)
+    noises = tuple(_noise(line) for line in lines)
+    here = look(lines, noises, fitted.prior, listed, constants)
+    null = null_of([score for score in here.scores if score.possible], np.random.default_rng(SEED))
+    if null is None:
+        return Standing(fitted, here, None)
+    quiet = [without_torque(line) for line in lines]
+    bare = look(lines, quiet, fitted.prior, listed, constants, plain=True)
+    heaviest = _strongest(fitted, (here, bare), null)
+    # The parameters alone may do better than where the fit has ended.
+    nothing = ([line.error for line in lines], here.rests(None), bare.rests(None))
+    unlikely = min(_unlikely(noises, lines, rests) for rests in nothing)
+    weighed = on_all_cores(lambda one: _challenger(one[0], one[1], noises, fitted, unlikely), heaviest)
+    ranked = sorted([one for one in weighed if one is not None], key=lambda one: -one.weight)
+    return Standing(fitted, here, null, tuple(ranked))
+
+
+def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
+    """The model fitted again under other noise, and the sums of its parameters about where it was.
+
+    Raises:
+        ModelError: it leads where nothing can be simulated.
+    """
+    runs = tuple(replace(run, noise=noise) for run, noise in zip(here.fitted.runs, noises, strict=True))
+    fitted = refit(here.fitted.model, here.fitted.prior, runs)
+    if fitted is None:
+        raise ModelError("the model cannot be fitted under this noise")
+    return fitted, ledger(here.lines, noises, here.fitted.prior, ()).beside()
+
+
+def summed(fitted: Fitted) -> Ledger:
+    """The sums of a model's fitted parameters alone.
+
+    Raises:
+        ModelError: the model cannot be simulated.
+    """
+    lines = [Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs)]
+    return ledger(lines, [_noise(line) for line in lines], fitted.prior, ())
+
+
+def without_torque(line: Line) -> Noise:
+    """The noise of a run if no torque was left unmeasured."""
+    noise = _noise(line)
+    most, disturbances = noise.most.copy(), noise.disturbances.copy()
+    most[TORQUE] *= NEGLIGIBLE
+    disturbances[TORQUE] = min(disturbances[TORQUE], most[TORQUE])
+    pinned = replace(noise, most=most, disturbances=disturbances)
+    return likelier(pinned, line.run, line.linear, line.error, line.run.there, BRIEFLY)[0]
+
+
+def _strongest(fitted: Fitted, looks: Sequence[Look], null: Null) -> list[tuple[Look, Score]]:
+    """The heaviest hypotheses of each look, once each, of those that are not what chance does every time."""
+    uncorrected = [
+        Line.of(fitted.model, replace(line.run, corrections=None), line.r, fitted.prior.keys)
+        for line in looks[0].lines
+    ]
+    strongest: dict[str, tuple[Look, Score]] = {}
+    for seen in looks:
+        able = _heaviest([score for score in seen.best().values() if score.weight > null.mode], DOUBTED)
+        for score in _heaviest(seen.doubted(able, uncorrected, fitted.prior), STRONGEST):
+            if score.name not in strongest or score.weight > strongest[score.name][1].weight:
+                strongest[score.name] = (seen, score)
+    return list(strongest.values())
+
+
+def _heaviest(scores: Sequence[Score], count: int) -> list[Score]:
+    """The heaviest scores with a name, and as many without one."""
+    ranked = sorted(scores, key=lambda score: -score.weight)
+    named = [score for score in ranked if score.entry.hypothesis.named]
+    return named[:count] + [score for score in ranked if not score.entry.hypothesis.named][:count]
+
+
+def _challenger(
+    seen: Look, score: Score, noises: Sequence[Noise], fitted: Fitted, unlikely: float
+) -> Challenger | None:
+    """A hypothesis of a look under the noise that its best size leaves; None where that leaves nothing of it."""
+    rests = seen.rests(score)
+    found = [
+        likelier(noise, line.run, line.linear, rest, line.run.there, BRIEFLY)
+        for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
+    ]
+    likely = [_torque_of(noise, other) for noise, (other, _) in zip(noises, found, strict=True)]
+    book, (entry,) = seen.entries([score], seen.lines, likely, fitted.prior, rests)
+    again = book.beside().score(entry)
+    if again is None or not again.possible:
+        return None
+    own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis))
+    # Under a noise of its own a hypothesis may seem to win what it has lost by parting with a likelier noise.
+    won = unlikely - sum(there for _, there in found)
+    return Challenger(own.doubted(score.doubt).winning(won), tuple(likely), book.colour, won)
+
+
+def _unlikely(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence[Array]) -> float:
+    """Twice the negative logarithmic likelihood of what is left (N, C) of each run, as noise."""
+    return sum(
+        likelier(noise, line.run, line.linear, rest, line.run.there, BRIEFLY)[1]
+        for noise, line, rest in zip(noises, lines, rests, strict=True)
+    )
+
+
+def _torque_of(noise: Noise, other: Noise) -> Noise:
+    """A noise with the unmeasured torque of another, if that is smaller."""
+    disturbances = noise.disturbances.copy()
+    disturbances[TORQUE] = min(disturbances[TORQUE], other.disturbances[TORQUE])
+    return replace(noise, disturbances=disturbances)
+
+
+def _noise(line: Line) -> Noise:
+    if line.run.noise is None:
+        raise ModelError(f"{line.run.name}: no noise was found in it")
+    return line.run.noise
+
+
+def _constants(lines: Sequence[Line]) -> dict[str, str]:
+    """Parameters that cannot have changed at once unless something is missing, and the equation of each."""
+    channels = sorted({channel for line in lines for channel in line.run.channels})
+    loaded = any("load_torque" in line.run.known for line in lines)
+    every = parameters_of(lines[0].model.file, channels)
+    return {key: equation for key, (equation, _) in every.items() if loaded or equation != "mechanical"}
