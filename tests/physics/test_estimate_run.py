@@ -58,7 +58,7 @@ def test_an_offset_that_the_rest_forbids_is_no_candidate():
     here = stand(fitted_of(base))
     seen = [score for score in here.scores if score.name == "speed_sensor_offset"]
     assert seen and seen[0].weight > 20 and not seen[0].possible
-    assert "speed_sensor_offset" not in here.best()
+    assert "speed_sensor_offset" not in here.look.best()
     free = {one.name: one for one in sensors(file, [replace(run, offset_below={}) for run in base.runs])}
     low, high = free["speed_sensor_offset"].shapes[0].limits()
     assert low < -1e3 and high > 1e3

@@ -38,5 +38,7 @@ def test_a_command_that_acts_late_is_found_and_the_inductance_does_not_make_up_f
     file = read_motor_file(WHEEL)
     found = base_fit(file, [prepare(logged(late), file)])
     assert dict(found.runs[0].late) == ({"current": 1, "speed": 1} if late else {})
-    assert found.fit.model.held == ((True, False, False),)
+    # How a load ran that was not recorded, nothing tells.
+    ((voltage, _, _),) = found.fit.model.held
+    assert voltage is True
     assert found.fit.model.file.motor.L == pytest.approx(0.0066, rel=0.03)

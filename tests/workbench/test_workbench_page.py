@@ -178,7 +178,7 @@ def test_a_step_can_be_cancelled_and_leaves_nothing(bench):
     assert bench.json("/steps", order)["status"] == 200
     process = bench.session._job._process
     told = eventually(lambda: bench.json("/state")["progress"], "progress")
-    assert "fitting the base parameters" in told[0]
+    assert "estimating the motor" in told[0]
     assert bench.json("/steps", order)["status"] == 409
     assert bench.json("/cancel", {})["status"] == 200
     state = bench.json("/state")["steps"]

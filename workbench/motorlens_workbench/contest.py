@@ -27,8 +27,8 @@ from motorlens_workbench.standing import Standing, stand, summed, under
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-# Hypotheses that are fitted in full at each step.
-REFITTED = 4
+# Effects that are looked for at most, and hypotheses that are fitted in full at each step.
+EFFECTS, REFITTED = 3, 4
 # Orders of magnitude over which the prior of a free curve's size is spread (Zellner's g).
 SPREAD = 10.0 ** np.arange(7)
 
@@ -110,10 +110,13 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     first = here = stand(base, own)
     accepted: list[Accepted] = []
     refused: list[str] = []
-    while len(accepted) < CRITERIA.effects:
+    nameless: tuple[Standing, list[Accepted]] | None = None
+    while len(accepted) < EFFECTS:
         challengers = beyond_chance(here, accepted, refused)
         if not challengers:
             break
+        if nameless is None and not likeliest(challengers).named:
+            nameless = here, list(accepted)
         step = _entered(here, challengers, refused, own, say)
         refused += step.refused
         if step.standing is not None and step.accepted is not None:
@@ -123,6 +126,9 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
         elif not step.refused:
             break
     remains = any(not one.named for one in beyond_chance(here, accepted, refused))
+    if remains and nameless is not None:
+        # Names together do not explain what a term without one does: they only imitate it.
+        here, accepted = nameless
     unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
     rivals = tuple(rivals_of(here, one) for one in accepted)
     return Outcome(first, here, tuple(accepted), rivals, unnamed, tuple(dict.fromkeys(refused)))

@@ -26,7 +26,8 @@ class Criteria:
         tempered: how many times as wide as the likelihood says the weights of rivals are.
         credible: probability that a group of rivals holds.
         blocks: of time, between which scatter is seen.
-        effects: that are looked for at most.
+        follows: error over the noise of a channel, on what was not fitted to, from which on a model is not called adequate:
+            more than slow noise of the sensors adds to white noise.
     """
 
     excess: float = 12.0
@@ -40,7 +41,7 @@ class Criteria:
     tempered: float = 4.0
     credible: float = 0.95
     blocks: int = 64
-    effects: int = 3
+    follows: float = 3.0
 
 
 CRITERIA = Criteria()

@@ -9,7 +9,9 @@ from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
 from motorlens_workbench.contest import Accepted, needed_weight, own_score
+from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
+from motorlens_workbench.evidence.held_out import times_noise
 from motorlens_workbench.evidence.ledger import Score
 from motorlens_workbench.standing import Standing
 
@@ -73,7 +75,7 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
         return "unknown", unnamed.entry.hypothesis.equation
     if not held:
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
-        return ("not_testable" if blind else "adequate"), None
+        return ("not_testable" if blind or left(found) > CRITERIA.follows else "adequate"), None
     if any(len(group) > 1 for group in groups):
         kind = "group"
     elif all(one.hypothesis.kind == "sensor" for one, _ in held):
@@ -81,6 +83,12 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
+
+
+def left(found: Finding) -> float:
+    """The worst channel's error, over its noise, that the last model leaves."""
+    last = found.outcome.last
+    return times_noise(last.book, last.lines)
 
 
 def _names(found: Finding) -> list[str]:
@@ -140,6 +148,12 @@ def limits(found: Finding) -> list[str]:
     if blind:
         said.append(
             "Not even three times the typical size would have been seen of: " + ", ".join(blind) + "."
+        )
+    times = left(found)
+    if times > CRITERIA.follows:
+        said.append(
+            f"The model is {times:.3g} times the noise off on what it was not fitted to: noise that lasts, a torque that "
+            "nobody measured, or something that no hypothesis explains."
         )
     said += [
         f"The screen points at {name}, but the model fitted with it does not follow: it stands for something else."

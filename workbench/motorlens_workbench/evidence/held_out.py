@@ -61,3 +61,9 @@ def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
         channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
         for channel, parts in squares.items()
     }
+
+
+def times_noise(book: Ledger, lines: Sequence[Line]) -> float:
+    """The worst channel's error on blocks held out, over what noise alone would leave."""
+    floor = pooled_floor(lines[0].model, [line.run for line in lines])
+    return max(error / max(floor[channel], 1e-300) for channel, error in held_out(book, lines).items())

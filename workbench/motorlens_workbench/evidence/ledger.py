@@ -280,7 +280,7 @@ def scatter_of(rests: Array, inverse_: Array, width: int) -> float:
 def log_chance(statistic: float, width: int) -> float:
     """Logarithm of the probability that a chi-squared variable is larger; its asymptote where that is nought.
 
-    >>> round(log_chance(3.84, 1), 2), round(log_chance(4000.0, 2))
+    >>> round(log_chance(3.84, 1), 1), round(log_chance(4000.0, 2))
     (-3.0, -2000)
     """
     told = float(chdtrc(width, statistic))

@@ -20,7 +20,7 @@ BALANCES = tuple(UNITS)
 # Against what, and with how many knots: finer than the bumps that a coarse curve would miss.
 KNOTS = {"speed": 18, "current": 12, "temperature": 8, "time": 12}
 # Knots around a revolution of the shaft.
-ROUND = 25
+ROUND = 24
 
 
 @dataclass(frozen=True)
@@ -123,10 +123,16 @@ PHASES = 8
 
 
 def around(knots: Array, angle: Array) -> Array:
-    """(N, k) hat functions of the shaft angle (N,), rad, within a revolution, each the mean over its sample."""
+    """(N, k) hat functions of the shaft angle (N,), rad, around a revolution, each the mean over its sample.
+
+    The first of the knots (k,) is at 0 rad, where a revolution ends as well.
+    """
     turn = np.gradient(angle)
     ways = [angle + ((k + 0.5) / PHASES - 0.5) * turn for k in range(PHASES)]
-    return np.asarray(sum(hat_functions(knots, np.mod(way, 2 * np.pi)) for way in ways) / PHASES)
+    ends = np.append(knots, 2 * np.pi)
+    mean = np.asarray(sum(hat_functions(ends, np.mod(way, 2 * np.pi)) for way in ways) / PHASES)
+    mean[:, 0] += mean[:, -1]
+    return mean[:, :-1]
 
 
 def knots_of(samples: Array, count: int) -> Array | None:
@@ -159,7 +165,7 @@ def curves(trajectories: Sequence[Trajectory]) -> list[Hypothesis]:
     every = free_curves(trajectories, BALANCES)
     listed = [one for one in every if one.balance == "heat" or one.against not in ("time", "temperature")]
     if any("phi" in trajectory.states for trajectory in trajectories):
-        listed.append(Curve("torque", "angle", np.linspace(0, 2 * np.pi, ROUND)))
+        listed.append(Curve("torque", "angle", np.linspace(0, 2 * np.pi, ROUND, endpoint=False)))
     return [Hypothesis(curve.name, "unnamed", curve.equation, (curve,)) for curve in listed]
 
 
