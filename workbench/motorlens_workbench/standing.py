@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.model import parts_of
 from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
 from motorlens_physics.estimate.weighed import BRIEFLY
 from motorlens_physics.threads import on_all_cores
@@ -46,11 +45,6 @@ class Standing:
     look: Look
     null: Null | None
     challengers: tuple[Challenger, ...] = ()
-
-    @property
-    def accepted(self) -> tuple[str, ...]:
-        """Effects and sensor faults of the model."""
-        return tuple(part.name() for part in parts_of(self.fitted.model.file))
 
     @property
     def lines(self) -> tuple[Line, ...]:
