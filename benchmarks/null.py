@@ -1,4 +1,4 @@
-"""How large the largest hypothesis gets where nothing is missing: what `criteria.py` takes its two thresholds from.
+"""How large the largest hypothesis gets where nothing is missing: what `criteria.py` takes its first four numbers from.
 
     python benchmarks/null.py --count 200 --seed 1 -o null.jsonl
 
@@ -36,11 +36,15 @@ LEVELS = (0.5, 0.9, 0.95, 0.99, 1.0)
 
 
 def worlds(count: int, seed: int) -> Iterator[Case]:
-    """Cases of the blind benchmark with nothing hidden, each with a seed of its own."""
+    """Cases of the blind benchmark with nothing hidden, each with a seed of its own; the plan depends on the count."""
     rng = np.random.default_rng(seed)
     for number, case in enumerate(draw("dev", max(count, 1), small=True)):
         yield replace(
-            case, id=f"null-{seed}-{number:04d}", kind="none", hidden=(), seed=int(rng.integers(1 << 62))
+            case,
+            id=f"null-{count}-{seed}-{number:04d}",
+            kind="none",
+            hidden=(),
+            seed=int(rng.integers(1 << 62)),
         )
 
 
@@ -119,7 +123,7 @@ def main() -> int:
         with args.output.open("a") as file:
             file.write(json.dumps(row) + "\n")
         print(f"{len(rows)}/{args.count} {case.id}", end="\r", file=sys.stderr, flush=True)
-    print("\n".join(table([row for row in rows if row["id"].startswith(f"null-{args.seed}-")])))
+    print("\n".join(table([row for row in rows if row["id"].startswith(f"null-{args.count}-{args.seed}-")])))
     return 0
 
 

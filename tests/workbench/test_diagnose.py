@@ -85,6 +85,17 @@ def test_nothing_missing_is_said_with_what_would_have_been_seen(rough):
 
 
 @pytest.mark.fit
+def test_a_recording_without_noise_is_adequate():
+    """What is left is the integration's error, which no converter's digits hold."""
+    file = read_motor_file(MOTOR)
+    rng = np.random.default_rng(0)
+    truth = perform(file, scenarios()["load_steps"](duration_s=8.0, period_s=0.003), rng)
+    _, document = diagnosed(file, measure(truth, (), {}, rng))
+    assert document["verdict"] == "adequate"
+    assert document["error"]["before"]["current"] > 3 * document["error"]["noise_floor"]["current"]
+
+
+@pytest.mark.fit
 def test_a_sensor_offset_is_not_taken_for_physics(rough):
     _, document = diagnosed(rough, recorded(3, faults={"speed_sensor_offset": 6.0}))
     offered = {name for group in document["groups"] for name in group}

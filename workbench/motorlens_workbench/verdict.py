@@ -62,12 +62,14 @@ def settle(found: Finding) -> Verdict:
     probability |= dict.fromkeys(dead, 1.0)
     chosen = (*dead, *(one.hypothesis.name for one, _ in held if one.hypothesis.name not in dead))
     groups = [*((name,) for name in dead), *(group for group in groups if group[0] not in dead)]
-    kind, equation = _kind(found, held, groups)
+    last = outcome.last
+    times = times_noise(last.book, last.lines)
+    kind, equation = _kind(found, held, groups, times)
     shape = outcome.unnamed if kind == "unknown" else None
-    return Verdict(kind, chosen, tuple(groups), equation, probability, shape, tuple(limits(found)))
+    return Verdict(kind, chosen, tuple(groups), equation, probability, shape, tuple(limits(found, times)))
 
 
-def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  # type: ignore[type-arg]
+def _kind(found: Finding, held: list, groups: list, times: float) -> tuple[str, str | None]:  # type: ignore[type-arg]
     unnamed = found.outcome.unnamed
     if found.dead:
         return "sensor_fault", found.dead[0].channel
@@ -75,7 +77,7 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
         return "unknown", unnamed.entry.hypothesis.equation
     if not held:
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
-        return ("not_testable" if blind or left(found) > CRITERIA.follows else "adequate"), None
+        return ("not_testable" if blind or times > CRITERIA.follows else "adequate"), None
     if any(len(group) > 1 for group in groups):
         kind = "group"
     elif all(one.hypothesis.kind == "sensor" for one, _ in held):
@@ -83,12 +85,6 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
-
-
-def left(found: Finding) -> float:
-    """The worst channel's error, over its noise, that the last model leaves."""
-    last = found.outcome.last
-    return times_noise(last.book, last.lines)
 
 
 def _names(found: Finding) -> list[str]:
@@ -120,8 +116,8 @@ def detectable(found: Finding, score: Score) -> float:
     return score.detectable(needed_weight(last, found.outcome.accepted)) if last.null else float("inf")
 
 
-def limits(found: Finding) -> list[str]:
-    """What the recordings cannot tell, in words."""
+def limits(found: Finding, times: float) -> list[str]:
+    """What the recordings cannot tell, in words; `times` the noise is what the last model leaves."""
     said = [one.sentence for one in found.dead]
     said += [delay.sentence for delay in delays_of(found.base.fit, found.runs)]
     channels = {channel for run in found.runs for channel in run.channels}
@@ -149,7 +145,6 @@ def limits(found: Finding) -> list[str]:
         said.append(
             "Not even three times the typical size would have been seen of: " + ", ".join(blind) + "."
         )
-    times = left(found)
     if times > CRITERIA.follows:
         said.append(
             f"The model is {times:.3g} times the noise off on what it was not fitted to: noise that lasts, a torque that "

@@ -64,6 +64,11 @@ def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
 
 
 def times_noise(book: Ledger, lines: Sequence[Line]) -> float:
-    """The worst channel's error on blocks held out, over what noise alone would leave."""
-    floor = pooled_floor(lines[0].model, [line.run for line in lines])
-    return max(error / max(floor[channel], 1e-300) for channel, error in held_out(book, lines).items())
+    """The worst channel's error on blocks held out, over its noise, which is no smaller than is believed of a recording."""
+    runs = [line.run for line in lines]
+    noise = pooled_floor(lines[0].model, runs)
+    for run in runs:
+        if run.noise is not None:
+            believed = zip(run.channels, np.sqrt(run.noise.floor).tolist(), strict=True)
+            noise |= {channel: max(noise[channel], least) for channel, least in believed}
+    return max(error / noise[channel] for channel, error in held_out(book, lines).items())

@@ -25,7 +25,6 @@ class Look:
         lines: the runs about the model.
         noises: of each run.
         plain: whether the sensors' noise is taken as white, see `ledger`.
-        constants: parameters that cannot have changed at once unless something is missing, and the equation of each.
         book: the sums.
         beside: of all fitted parameters.
         scores: every shape of every hypothesis.
@@ -34,7 +33,6 @@ class Look:
     lines: tuple[Line, ...]
     noises: tuple[Noise, ...]
     plain: bool
-    constants: Mapping[str, str]
     book: Ledger
     beside: Beside
     scores: tuple[Score, ...]
@@ -119,14 +117,14 @@ def look(
         noises: of each run.
         prior: of the fitted parameters.
         listed: the hypotheses; those of a change at once are added.
-        constants: see `Look`.
+        constants: parameters that cannot have changed at once unless something is missing, and the equation of each.
         plain: see `ledger`.
     """
     book = ledger(lines, noises, prior, listed, plain=plain)
     book = with_entries(book, changes(book, lines, constants))
     beside = book.beside()
     scores = tuple(score for entry in book.entries if (score := beside.score(entry)) is not None)
-    return Look(tuple(lines), tuple(noises), plain, constants, book, beside, scores)
+    return Look(tuple(lines), tuple(noises), plain, book, beside, scores)
 
 
 def best_of(scores: Sequence[Score]) -> dict[str, Score]:
