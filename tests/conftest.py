@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 from helpers.machine_code import share
+from hypothesis import settings
 
 # The workers of pytest-xdist share out the cores; libraries that start a thread a core would fight over them, and sums in
 # parallel come out in another order. Set before anything imports them, and inherited by the programs that tests start.
@@ -26,6 +27,12 @@ _TIERS = {"fit", "blind"}
 # A test of the quick tier uses half a second; a first compilation or import may fall on anyone.
 _QUICK_S = 2.0
 _costly: dict[str, float] = {}
+
+# A change lands or not for what it does, not for what was drawn: the same examples in each run, and as many seconds as a
+# busy machine needs. `--hypothesis-profile search` draws new ones.
+settings.register_profile("suite", derandomize=True, deadline=None)
+settings.register_profile("search", deadline=None)
+settings.load_profile("suite")
 
 
 def pytest_configure(config: pytest.Config) -> None:

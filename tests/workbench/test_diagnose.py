@@ -26,6 +26,8 @@ from motorlens_workbench.verdict import settle
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}
+# For what is asked of the commands: a tenth of the samples.
+SHORT = {"duration_s": 10.0, "period_s": 0.01}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,11 @@ def rough() -> MotorFile:
 
 
 def recorded(
-    seed: int = 0, effects: dict[str, float] | None = None, faults: dict[str, float] | None = None
+    seed: int = 0,
+    effects: dict[str, float] | None = None,
+    faults: dict[str, float] | None = None,
+    duration_s: float = 30.0,
+    period_s: float = 0.003,
 ) -> Recording:
     file = read_motor_file(MOTOR)
     known, sensors = catalogue(), sensor_catalogue()
@@ -42,7 +48,7 @@ def recorded(
         effect = known[name].typical(file.rated)
         file = replace(file, motor=file.motor.with_effect(replace(effect, **{effect.switch().name: size})))
     rng = np.random.default_rng(seed)
-    truth = perform(file, scenarios()["load_steps"](duration_s=30.0, period_s=0.003), rng)
+    truth = perform(file, scenarios()["load_steps"](duration_s, period_s), rng)
     shown = []
     for name, size in (faults or {}).items():
         switch = sensors[name].switch()
@@ -145,8 +151,8 @@ def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
 def test_the_commands_in_a_row(rough, tmp_path, capsys):
     motor, first, second = tmp_path / "motor.toml", tmp_path / "a.csv", tmp_path / "b.csv"
     write_motor_file(rough, motor)
-    write_recording(recorded(5, {"coulomb_friction": 0.3}), first)
-    write_recording(recorded(6, {"coulomb_friction": 0.3}), second)
+    write_recording(recorded(5, {"coulomb_friction": 0.3}, **SHORT), first)
+    write_recording(recorded(6, {"coulomb_friction": 0.3}, **SHORT), second)
     answer, page = tmp_path / "answer.json", tmp_path / "answer.html"
     arguments = ["--motor", str(motor), "--json", str(answer), "--html", str(page)]
     assert main(["diagnose", str(first), *arguments]) == 0
@@ -176,22 +182,8 @@ def test_the_commands_in_a_row(rough, tmp_path, capsys):
     assert not worse.exists()
     assert "do not support" in capsys.readouterr().out
 
-    assert (
-        main(
-            [
-                "add",
-                "coulomb_friction",
-                "--remove",
-                "--motor",
-                str(better),
-                "--fit",
-                str(first),
-                "-o",
-                str(worse),
-            ]
-        )
-        == 0
-    )
+    remove = ["add", "coulomb_friction", "--remove", "--motor", str(better), "--fit", str(first)]
+    assert main([*remove, "-o", str(worse)]) == 0
     assert "coulomb_friction.tau_c" not in read_motor_file(worse).values()
 
 
@@ -210,7 +202,7 @@ def test_the_commands_in_a_row(rough, tmp_path, capsys):
 def test_wrong_use_is_one_clear_line(arguments, message, rough, tmp_path, capsys):
     names = {"M": tmp_path / "m.toml", "R": tmp_path / "r.csv", "N": tmp_path / "n.toml"}
     write_motor_file(rough, names["M"])
-    write_recording(recorded(7), names["R"])
+    write_recording(recorded(7, **SHORT), names["R"])
     assert main([str(names.get(word, word)) for word in arguments]) == 1
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in said

@@ -17,6 +17,9 @@ from motorlens_workbench.verdict import Verdict, settle
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}
+SAMPLES = 4000
+# The same information in fewer samples: noise of ten thousand, less by the root of how many there are.
+NOISE = {channel: sd * (SAMPLES / 10_000) ** 0.5 for channel, sd in NOISE.items()}
 TWINS = {"constant_torque", "load_torque_sensor_offset"}
 
 
@@ -27,7 +30,9 @@ def recorded(
     effect = replace(catalogue()["constant_torque"].typical(file.rated), tau_0=torque)
     rng = np.random.default_rng(5)
     truth = perform(
-        replace(file, motor=file.motor.with_effect(effect)), scenarios()[test](seconds, seconds / 10_000), rng
+        replace(file, motor=file.motor.with_effect(effect)),
+        scenarios()[test](seconds, seconds / SAMPLES),
+        rng,
     )
     sensors = tuple(
         replace(sensor_catalogue()[f"load_torque_sensor_{name}"], **{name: size})

@@ -120,7 +120,7 @@ def simulate(duration="10", rate="100"):
 
 
 @pytest.mark.fit
-def test_the_four_steps(bench, capsys):
+def test_steps_are_the_commands_that_are_shown(bench, capsys):
     simulate()
     choice = bench.json("/choice")
     assert choice["motors"] == [{"name": "motor.toml", "parts": []}] and choice["recordings"] == ["bench.csv"]
@@ -135,10 +135,6 @@ def test_the_four_steps(bench, capsys):
     assert bench.headers["Content-Security-Policy"].startswith("sandbox allow-scripts")
     assert step["sentence"] in capsys.readouterr().out and "mechanical equation" in step["sentence"]
 
-    step, found = bench.take(kind="diagnose")
-    assert step["state"] == "done" and found["sentence"] == step["sentence"]
-    assert any("coulomb_friction" in group for group in [found["chosen"], *found["groups"]])
-
     step, added = bench.take(kind="add", effect="coulomb_friction", output="better.toml")
     assert step["written"] == "better.toml" and "--fit bench.csv -o better.toml" in step["command"]
     assert [rung["added"] for rung in added["ladder"]] == ["", "coulomb_friction"]
@@ -149,16 +145,13 @@ def test_the_four_steps(bench, capsys):
     entries = {entry["name"]: entry["parts"] for entry in bench.json("/choice")["motors"]}
     assert entries == {"motor.toml": [], "better.toml": ["coulomb_friction"]}
 
-    step, after = bench.take(kind="compare", motor="better.toml")
-    assert after["channels"]["current"]["rmse"] < 0.5 * before["channels"]["current"]["rmse"]
-
     step, removed = bench.take(
         kind="remove", motor="better.toml", effect="coulomb_friction", output="back.toml"
     )
     assert "--remove" in step["command"] and step["written"] == "back.toml"
     rungs = [rung["held_out"]["current"] for rung in removed["ladder"]]
     assert rungs[1] > rungs[0] and "higher" in step["sentence"]
-    assert [step["number"] for step in bench.json("/state")["steps"]] == [1, 2, 3, 4, 5]
+    assert [step["number"] for step in bench.json("/state")["steps"]] == [1, 2, 3]
 
 
 @pytest.mark.fit

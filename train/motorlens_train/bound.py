@@ -181,15 +181,46 @@ def transition(A: Array, dt: float) -> Array:  # pragma: no cover - compiled
     while norm > 0.25:
         norm *= 0.5
         halvings += 1
-    M = A * (dt / 2.0**halvings)
+    scale = dt / 2.0**halvings
     F = np.eye(n)
     term = np.eye(n)
     for k in range(1, 9):
-        term = term @ M / k
-        F += term
+        term = product(term, A, scale / k)
+        for r in range(n):
+            for c in range(n):
+                F[r, c] += term[r, c]
     for _ in range(halvings):
-        F = F @ F
+        F = product(F, F)
     return F
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def product(A: Array, B: Array, scale: float = 1.0) -> Array:  # pragma: no cover - compiled
+    """scale A B of small square matrices, written out: numba takes ten times as long to compile its own."""
+    n = A.shape[0]
+    out = np.empty((n, n))
+    for r in range(n):
+        for c in range(n):
+            total = 0.0
+            for k in range(n):
+                total += A[r, k] * B[k, c]
+            out[r, c] = scale * total
+    return out
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def between(F: Array, P: Array) -> Array:  # pragma: no cover - compiled
+    """F P F' of small square matrices."""
+    n = F.shape[0]
+    carried = product(F, P)
+    out = np.empty((n, n))
+    for r in range(n):
+        for c in range(n):
+            total = 0.0
+            for k in range(n):
+                total += carried[r, k] * F[c, k]
+            out[r, c] = total
+    return out
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -205,39 +236,40 @@ def riccati(
     n, N = A.shape[1], A.shape[0]
     out = np.empty((N, n, n))
     P = P.copy()
+    mean, G, K, g = np.empty((n, n)), np.eye(n), np.empty(n), np.empty(n)
     for k in range(N):
         if k > 0:
             dt = time[k] - time[k - 1]
-            mean = 0.5 * (A[k - 1] + A[k])
-            if resting[k - 1] and resting[k]:
-                mean[w, :] = 0.0
-            F = transition(mean, dt)
-            half = transition(mean, 0.5 * dt)
-            g = half @ drive * dt
-            P[load, load] += changes[k]
-            P = F @ P @ F.T
+            still = resting[k - 1] and resting[k]
             for a in range(n):
                 for b in range(n):
-                    P[a, b] += g[a] * g[b]
+                    mean[a, b] = 0.0 if still and a == w else 0.5 * (A[k - 1, a, b] + A[k, a, b])
+            F, half = transition(mean, dt), transition(mean, 0.5 * dt)
+            for a in range(n):
+                g[a] = 0.0
+                for b in range(n):
+                    g[a] += half[a, b] * drive[b] * dt
+            P[load, load] += changes[k]
+            P = between(F, P)
             # Half of the walk before the step and half after it: right to second order in the step.
-            for j in range(n):
-                if walks[j] > 0.0:
-                    P[j, j] += 0.5 * walks[j] * dt
-                    for a in range(n):
-                        for b in range(n):
-                            P[a, b] += 0.5 * walks[j] * dt * F[a, j] * F[b, j]
+            for a in range(n):
+                P[a, a] += 0.5 * walks[a] * dt
+                for b in range(n):
+                    P[a, b] += g[a] * g[b]
+                    for j in range(n):
+                        P[a, b] += 0.5 * walks[j] * dt * F[a, j] * F[b, j]
         if resting[k]:
-            P[w, :] = 0.0
-            P[:, w] = 0.0
+            for a in range(n):
+                P[w, a] = 0.0
+                P[a, w] = 0.0
         S = P[0, 0] + r
-        K = P[:, 0] / S
         # Joseph's form: symmetric and positive whatever the rounding.
-        G = np.eye(n)
         for a in range(n):
-            G[a, 0] -= K[a]
-        P = G @ P @ G.T
+            K[a] = P[a, 0] / S
+            G[a, 0] = (1.0 if a == 0 else 0.0) - K[a]
+        P = between(G, P)
         for a in range(n):
             for b in range(n):
                 P[a, b] += r * K[a] * K[b]
-        out[k] = P
+                out[k, a, b] = P[a, b]
     return out

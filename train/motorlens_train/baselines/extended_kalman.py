@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import njit
 
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -19,7 +19,7 @@ from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.method import Array, Estimate, inputs, steps_of, truth
-from motorlens_train.bound import transition
+from motorlens_train.bound import between, transition
 from motorlens_train.observer.model import linearised, without_angle
 
 # Candidates of the tuning: walks of the load in rated torques, of the winding in kelvin, per square root of a second.
@@ -138,16 +138,7 @@ def _equations(motor: Motor) -> Any:
     return program.compiled()
 
 
-_EQUATIONS = types.FunctionType(types.void(types.float64[::1], types.float64[::1]))
-_VECTOR, _MATRIX, _NUMBER = types.float64[::1], types.float64[:, ::1], types.float64
-
-
-@njit(  # type: ignore[untyped-decorator]
-    types.UniTuple(_MATRIX, 2)(
-        _EQUATIONS, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _VECTOR, _NUMBER, _NUMBER, _NUMBER
-    ),
-    cache=True, error_model="numpy",
-)  # fmt: skip
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _run(
     equations: Any, dt: Array, v: Array, i: Array, ambient: Array, x: Array, P: Array, walks: Array, L: float, v_sd: float,
     r: float,
@@ -155,33 +146,44 @@ def _run(
     n = len(x)
     arguments, results = np.empty(n + 2), np.empty(n + n * n)
     means, variances = np.empty((len(v), n)), np.empty((len(v), n))
-    augmented = np.zeros((n + 1, n + 1))
+    augmented, K = np.zeros((n + 1, n + 1)), np.empty(n)
+    F, G = np.empty((n, n)), np.eye(n)
     x, P = x.copy(), P.copy()
     for k in range(len(v)):
         if k > 0:
             step = dt[k]
-            arguments[:n], arguments[n], arguments[n + 1] = x, 0.5 * (v[k - 1] + v[k]), ambient[k]
+            for j in range(n):
+                arguments[j] = x[j]
+            arguments[n], arguments[n + 1] = 0.5 * (v[k - 1] + v[k]), ambient[k]
             equations(arguments, results)
-            augmented[:n, n] = results[:n]
-            augmented[:n, :n] = results[n:].reshape(n, n)
-            E = transition(augmented, step)
-            x = x + E[:n, n]
-            F = E[:n, :n].copy()
+            for a in range(n):
+                augmented[a, n] = results[a]
+                for b in range(n):
+                    augmented[a, b] = results[n + a * n + b]
+            E, half = transition(augmented, step), transition(augmented, 0.5 * step)
+            for a in range(n):
+                x[a] += E[a, n]
+                for b in range(n):
+                    F[a, b] = E[a, b]
+            P = between(F, P)
             # The noise of the voltage, and that nobody knows where in the step the voltage changed.
             change = max(0.0, (v[k] - v[k - 1]) ** 2 - 18 * v_sd**2) / 12
-            g = transition(augmented, 0.5 * step)[:n, 0] * (step / L * np.sqrt(v_sd**2 + change))
-            P = F @ P @ F.T + np.outer(g, g)
-            for j in range(n):
-                if walks[j] > 0.0:
-                    P[j, j] += 0.5 * walks[j] * step
-                    P += 0.5 * walks[j] * step * np.outer(F[:, j], F[:, j])
+            driven = (step / L) ** 2 * (v_sd**2 + change)
+            for a in range(n):
+                P[a, a] += 0.5 * walks[a] * step
+                for b in range(n):
+                    P[a, b] += driven * half[a, 0] * half[b, 0]
+                    for j in range(n):
+                        P[a, b] += 0.5 * walks[j] * step * F[a, j] * F[b, j]
         S = P[0, 0] + r
-        K = P[:, 0] / S
-        x = x + K * (i[k] - x[0])
-        G = np.eye(n)
-        G[:, 0] -= K
-        P = G @ P @ G.T + r * np.outer(K, K)
-        means[k] = x
-        for j in range(n):
-            variances[k, j] = P[j, j]
+        surprise = i[k] - x[0]
+        for a in range(n):
+            K[a] = P[a, 0] / S
+            x[a] += K[a] * surprise
+            G[a, 0] = (1.0 if a == 0 else 0.0) - K[a]
+        P = between(G, P)
+        for a in range(n):
+            for b in range(n):
+                P[a, b] += r * K[a] * K[b]
+            means[k, a], variances[k, a] = x[a], P[a, a]
     return means, variances
