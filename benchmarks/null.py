@@ -25,11 +25,12 @@ sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve
 
 from helpers.hidden import Case, draw, generate  # noqa: E402
 
+from motorlens_physics.estimate.estimate import estimate  # noqa: E402
 from motorlens_physics.estimate.run import prepare_all  # noqa: E402
 from motorlens_physics.motor_file import read_motor_file  # noqa: E402
 from motorlens_physics.recording import read_recording  # noqa: E402
 from motorlens_workbench.contest import needed_weight  # noqa: E402
-from motorlens_workbench.diagnose import base_fit, fitted_of  # noqa: E402
+from motorlens_workbench.diagnose import fitted_of  # noqa: E402
 from motorlens_workbench.standing import stand  # noqa: E402
 
 LEVELS = (0.5, 0.9, 0.95, 0.99, 1.0)
@@ -55,7 +56,7 @@ def largest(case: Case) -> dict[str, Any]:
         made = generate(case, Path(place))
         file = read_motor_file(made.motor)
         runs = prepare_all([read_recording(path) for path in made.recordings], file)
-    found = base_fit(file, runs)
+    found = estimate(file, runs)
     here = stand(fitted_of(found))
     row: dict[str, Any] = {
         "id": case.id, "noise": case.noise_kind, "excitation": case.excitation, "channels": case.channels,

@@ -386,14 +386,14 @@ def whiteness(paths: list[Path], motor: Path, lags: int = 25) -> dict[str, Any]:
     """
     from scipy.stats import chi2
 
+    from motorlens_physics.estimate.estimate import estimate
     from motorlens_physics.estimate.run import prepare_all
     from motorlens_physics.motor_file import read_motor_file
     from motorlens_physics.recording import read_recording
-    from motorlens_workbench.diagnose import base_fit
 
     file = read_motor_file(str(motor))
     runs = prepare_all([read_recording(str(path)) for path in sorted(paths)], file)
-    found = base_fit(file, runs)
+    found = estimate(file, runs)
     tests = []
     for run, residual in zip(found.runs, found.fit.residuals, strict=True):
         for channel, e in zip(run.channels, residual.T, strict=True):

@@ -60,7 +60,7 @@ def test_pieces_lead_where_all_samples_lead(monkeypatch: pytest.MonkeyPatch) -> 
     assert np.abs((ends - meant) / sd).max() < 0.15
     np.testing.assert_allclose(np.sqrt(np.diagonal(pieces.fit.covariance)), sd, rtol=0.05)
     # Going on from an end, it ends there.
-    again = estimate(FILE, whole.runs, begin=whole.fit.model, onward=True)
+    again = estimate(FILE, whole.runs, begin=whole.fit.model)
     stays = np.array([again.fit.model.values()[key] for key in keys])
     assert told(again) == told(whole) and np.abs((stays - meant) / sd).max() < 0.15
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.model import predict
 from motorlens_physics.estimate.run import largest_offset, prepare, prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.sensors import sensors
 from motorlens_workbench.standing import stand
 
@@ -54,7 +55,7 @@ def wheel(offset: float) -> Recording:
 @pytest.mark.fit
 def test_an_offset_that_the_rest_forbids_is_no_candidate():
     file = read_motor_file(MOTOR)
-    base = base_fit(file, [prepare(wheel(4.0), file)])
+    base = estimate(file, [prepare(wheel(4.0), file)])
     here = stand(fitted_of(base))
     seen = [score for score in here.scores if score.name == "speed_sensor_offset"]
     assert seen and seen[0].weight > 20 and not seen[0].possible

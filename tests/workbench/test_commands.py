@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motorlens_physics.estimate.calibrate import calibrate
+from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.diagnose import base_fit
+from motorlens_workbench.diagnose import diagnose
 
 # Its motor file says that the voltage is a command.
 WHEEL = Path(__file__).resolve().parents[2] / "examples/hidden_effect/regbot.toml"
@@ -36,9 +38,20 @@ def logged(late: int) -> Recording:
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_command_that_acts_late_is_found_and_the_inductance_does_not_make_up_for_it(late):
     file = read_motor_file(WHEEL)
-    found = base_fit(file, [prepare(logged(late), file)])
+    found = estimate(file, [prepare(logged(late), file)])
     assert dict(found.runs[0].late) == ({"current": 1, "speed": 1} if late else {})
     # How a load ran that was not recorded, nothing tells.
     ((voltage, _, _),) = found.fit.model.held
     assert voltage is True
     assert found.fit.model.file.motor.L == pytest.approx(0.0066, rel=0.03)
+
+
+@pytest.mark.fit
+def test_calibrate_and_diagnose_stand_on_the_same_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    file, recording = read_motor_file(WHEEL), logged(0)
+    monkeypatch.setattr("motorlens_workbench.diagnose.contest", lambda *given: None)
+    base, found = diagnose(file, [recording]).base, calibrate(file, [recording])
+    assert found.findings.untold and found.findings.told
+    values, sd = base.fit.model.values(), base.fit.sd()
+    for key in found.findings.told:
+        assert values[key] == found.value[key] and sd[key] == found.sd[key]

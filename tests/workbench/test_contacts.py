@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from helpers.changing import MOTOR, drive, textbook
 
+from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.diagnose import base_fit
 from motorlens_workbench.hypotheses.contact import contacts, robust
 from motorlens_workbench.hypotheses.line import Line
 
@@ -39,7 +39,7 @@ def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
         "speed": speed + 0.5 * noise * rng.standard_normal(N),
     }
     file = read_motor_file(MOTOR)
-    found = base_fit(file, (prepare(Recording("bench", np.arange(N) * DT, channels), file),))
+    found = estimate(file, (prepare(Recording("bench", np.arange(N) * DT, channels), file),))
     return contacts([Line.of(found.fit.model, found.runs[0], 0, found.fit.prior.keys)])
 
 

@@ -7,11 +7,12 @@ import pytest
 from scipy.linalg import expm
 from scipy.signal import lsim
 
+from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.contest import contest
-from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.memory import DAMPING, Memory, resonances
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
@@ -51,7 +52,7 @@ def test_the_amplitude_is_that_of_the_response_of_the_resonators():
 def test_a_flywheel_on_a_spring_shows_as_a_torque_with_a_memory(twisting):
     """Half of the inertia behind a soft shaft that resonates at 40 Hz; on a stiff shaft nothing of the kind is found."""
     file, recording = with_flywheel(twisting)
-    outcome = contest(fitted_of(base_fit(file, prepare_all([recording], file))))
+    outcome = contest(fitted_of(estimate(file, prepare_all([recording], file))))
     if not twisting:
         assert outcome.unnamed is None and not outcome.accepted
         return

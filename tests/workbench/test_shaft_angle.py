@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.forcing import forcing
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.effects import EffectShape
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.standing import stand
@@ -50,7 +51,7 @@ def recording(unbalance_Nm: float, at_stops_Nm: float) -> Recording:
 @pytest.mark.parametrize(("unbalance_Nm", "at_stops_Nm"), [(0.05, 0.0), (0.0, 0.05)])
 def test_torques_at_rest_do_not_pass_for_what_goes_with_the_angle(unbalance_Nm, at_stops_Nm):
     file = read_motor_file(MOTOR)
-    here = stand(fitted_of(base_fit(file, prepare_all([recording(unbalance_Nm, at_stops_Nm)], file))))
+    here = stand(fitted_of(estimate(file, prepare_all([recording(unbalance_Nm, at_stops_Nm)], file))))
     assert here.null is not None
     seen = here.look.best().get("unbalance_torque")
     # Only one is seen while the shaft turns.
@@ -64,7 +65,7 @@ def test_what_goes_with_the_angle_shows_nothing_at_rest():
     """The column of an effect of the angle along a run that stands half of the time, beside its forcing in full."""
     file = read_motor_file(MOTOR)
     effect = replace(catalogue()["unbalance_torque"].typical(file.rated), A=0.2)
-    base = base_fit(file, prepare_all([recording(0.05, 0.0)], file))
+    base = estimate(file, prepare_all([recording(0.05, 0.0)], file))
     line = Line.of(base.fit.model, base.runs[0], 0, ())
     masked = EffectShape((effect,), (0.0, np.inf)).columns(line)[:, :, 0]
     whole = line.of_forcing(forcing(effect, line.trajectory))[:, :, 0]

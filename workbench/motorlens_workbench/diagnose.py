@@ -1,13 +1,11 @@
 """What is missing from a model: prepare, estimate, hold the contest; `verdict` and `experiments` take it from there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.model import predict
 from motorlens_physics.estimate.run import Run, prepare_all
-from motorlens_physics.estimate.shaft import followed
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_workbench.contest import Outcome, Progress, contest
@@ -58,22 +56,8 @@ def diagnose(
     if dead:
         say(f"leaving out {', '.join(f'{one.channel} of {one.recording} ({one.state})' for one in dead)}")
     say("estimating the motor")
-    base = base_fit(file, without(runs, dead))
+    base = estimate(file, without(runs, dead))
     return Finding(base, contest(fitted_of(base), own, say), dead)
-
-
-def base_fit(file: MotorFile, runs: Sequence[Run], say: Progress = lambda text: None) -> Estimate:
-    """The motor estimated, its shaft followed where that is possible, its converters' lean known."""
-    found = estimate(file, runs, progress=say)
-    leans = any(converter.step for run in runs for converter in run.converters)
-    turned = any(state.kind == "angle" for effect in file.motor.effects for state in effect.states.values())
-    seen = []
-    for r, run in enumerate(found.runs):
-        trajectory, y = predict(found.fit.model, run, r)
-        seen.append(followed(run.leaning(y) if leans else run, trajectory, y))
-    return (
-        estimate(file, seen, begin=found.fit.model) if leans or turned else replace(found, runs=tuple(seen))
-    )
 
 
 def fitted_of(found: Estimate) -> Fitted:

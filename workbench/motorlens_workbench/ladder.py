@@ -16,7 +16,7 @@ from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.contest import Progress, needed_weight, own_score
-from motorlens_workbench.diagnose import base_fit, fitted_of
+from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors, pooled_floor
 from motorlens_workbench.evidence.ledger import Ledger, ledger
 from motorlens_workbench.fitted import Fitted
@@ -171,7 +171,7 @@ def _with(lower: MotorFile, file: MotorFile, names: Sequence[str]) -> MotorFile:
 def _rung(
     added: str, file: MotorFile, runs: Sequence[Run], judge: Sequence[Recording], differing: Sequence[str]
 ) -> tuple[Rung, Estimate]:
-    base = base_fit(file, runs)
+    base = estimate(file, runs)
     fitted = fitted_of(base)
     book, lines = _book(fitted)
     return _described(added, fitted, book, lines, judge, (), differing), base

@@ -4,6 +4,7 @@ Also whether all channels come a sample earlier or later, which looks much alike
 likeliest.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,9 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
         ways = {
             (held, moved): cost
             for held in (False, True)
-            for moved, cost in _costs(point, prior, r, (held, held, ambient), straight=True).items()
+            for moved, cost in _costs(
+                point, prior, r, (held, held, ambient), (-1, 0, 1), straight=True
+            ).items()
         }
         held, moved = min(ways, key=lambda way: ways[way])
         here = min(ways[way, 0] for way in (False, True))
@@ -36,7 +39,8 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
         load = held
         if measured and not moved:
             alike, other = (
-                _costs(point, prior, r, (held, one, ambient), straight=False)[0] for one in (held, not held)
+                _costs(point, prior, r, (held, one, ambient), (0,), straight=False)[0]
+                for one in (held, not held)
             )
             load = not held if (alike - other) / inflation > needed(1) else held
         chosen.append(_moved(part.run.holding((held, load, ambient)), moved))
@@ -50,7 +54,13 @@ def _moved(run: Run, samples: int) -> Run:
 
 
 def _costs(
-    point: Weighed, prior: Prior, r: int, hold: tuple[bool, bool, bool], *, straight: bool
+    point: Weighed,
+    prior: Prior,
+    r: int,
+    hold: tuple[bool, bool, bool],
+    late: Sequence[int],
+    *,
+    straight: bool,
 ) -> dict[int, float]:
     """Twice the negative logarithmic likelihood of a run whose inputs ran this way, by how many samples it was late.
 
@@ -68,7 +78,7 @@ def _costs(
     width = np.array([prior.sd[key] for key in keys])
     off = np.array([values[key] - prior.centre[key] for key in keys]) / width
     costs = {}
-    for samples in (-1, 0, 1):
+    for samples in late:
         moves = tuple(0 if channel == "temperature" else samples for channel in run.channels)
         # The same samples count in all.
         used = run.there.copy()

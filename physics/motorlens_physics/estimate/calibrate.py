@@ -19,10 +19,6 @@ from motorlens_runtime.errors import DataError, ModelError
 
 Array = NDArray[np.float64]
 
-# What is not told is put back where it was; the others are fitted again if that moves one by more than this share of its
-# deviation.
-MOVES = 0.05
-
 
 @dataclass(frozen=True)
 class Calibration:
@@ -31,19 +27,22 @@ class Calibration:
     Attributes:
         estimate: the fit of all that was free.
         findings: what it says of each parameter.
-        value: by key, with what is not told at its prior.
         file: the motor file with values, deviations and sources of what the recordings tell written in.
     """
 
     estimate: Estimate
     findings: Findings
-    value: Mapping[str, float]
     file: MotorFile
 
     @property
     def keys(self) -> tuple[str, ...]:
         """The free parameters of the motor file."""
         return self.findings.keys
+
+    @property
+    def value(self) -> Mapping[str, float]:
+        """By key, with what is not told at its prior."""
+        return self.findings.value
 
     @property
     def sd(self) -> Mapping[str, float]:
@@ -171,16 +170,8 @@ def calibrate(
     said = findings(found.fit)
     if not said.told:
         raise DataError(f"{names}: nothing can be told; the recordings leave every parameter where it was")
-    value = dict(said.value)
-    if said.untold and _shifted(found, said):
-        # The rest of the fit leant on where these had gone.
-        model = found.fit.model.with_values({key: said.value[key] for key in said.untold})
-        rest = prior.only([key for key in prior.keys if key not in said.untold])
-        again = estimate(file, found.runs, rest, begin=model, onward=True, progress=progress)
-        fitted = again.fit.model.values()
-        value |= {key: fitted[key] for key in said.told}
     known = {key: Knowledge(said.sd[key], f"calibrated on {names}") for key in said.told}
-    return Calibration(found, said, value, file.with_values({key: value[key] for key in said.told}, known))
+    return Calibration(found, said, file.with_values({key: said.value[key] for key in said.told}, known))
 
 
 def chosen(file: MotorFile, prior: Prior, keys: Sequence[str] | None) -> Prior:
@@ -207,14 +198,3 @@ def _moves(run: Run) -> bool:
         for c in range(len(run.channels))
         if run.there[:, c].any()
     )
-
-
-def _shifted(found: Estimate, said: Findings) -> bool:
-    """Whether putting back what is not told moves the rest of a fit by more than `MOVES` deviations."""
-    keys, fitted = found.fit.prior.keys, found.fit.model.values()
-    back = np.array([said.value[key] - fitted[key] for key in said.untold])
-    of = [keys.index(key) for key in said.untold]
-    rest = [keys.index(key) for key in said.told]
-    covariance = found.fit.covariance
-    moved = covariance[np.ix_(rest, of)] @ np.linalg.solve(covariance[np.ix_(of, of)], back)
-    return bool(np.any(np.abs(moved) > MOVES * np.sqrt(np.diagonal(covariance)[rest])))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
+from scipy.fft import irfft, next_fast_len, rfft
 
 from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse
 from motorlens_physics.estimate.innovations import innovations
@@ -98,10 +98,13 @@ def gains_of_lags(part: Errors, c: int, most: int, columns: Array, width: Array)
     lags, rows = np.arange(-most, most + 1), len(shown)
     first, last = np.maximum(lags, 0), rows + np.minimum(lags, 0)
 
+    size = next_fast_len(rows + most, real=True)
+    spectrum = np.conj(rfft(moved, size, axis=0))
+
     def across(y: Array) -> Array:
         """Sums of the products of (N, C) and the moved signal, at each lag."""
-        pairs = zip(y.T, moved.T, strict=True)
-        return np.asarray(sum(correlate(np.pad(a, most), b, mode="valid", method="fft") for a, b in pairs))
+        products = irfft(np.sum(rfft(y, size, axis=0) * spectrum, axis=1), size)
+        return np.asarray(products[lags])
 
     left = _between(rest, first, last) + _between(moved, first - lags, last - lags) - 2 * across(rest)
     gram = np.tensordot(slopes, slopes, axes=([0, 1], [0, 1])) + np.diag(width**-2.0)

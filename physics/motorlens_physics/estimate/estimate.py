@@ -16,11 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motorlens_physics.estimate.fit import Fit, inverse, plain_noise, squares, start_model
-from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
 from motorlens_physics.estimate.prior import Prior, base_prior
+from motorlens_physics.estimate.report import Findings, findings
 from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.shaft import followed
 from motorlens_physics.estimate.timing import Timing
 from motorlens_physics.estimate.weighed import Array, Weighed, at, from_noise, minimised, noisier
 from motorlens_physics.motor_file import MotorFile
@@ -36,6 +38,9 @@ TRUSTED = 2
 SETTLED = 20
 # A fit this close to the minimum, in standard deviations of the result, counts as converged.
 CONVERGED = 0.3
+# What is not told is put back where it was; the others are fitted again if that moves one by more than this share of its
+# deviation.
+MOVES = 0.05
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,6 @@ def estimate(
     *,
     held: bool | None = None,
     begin: Model | None = None,
-    onward: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Estimate:
     """Fit a motor to prepared recordings.
@@ -74,8 +78,6 @@ def estimate(
         held: whether measured inputs hold between samples or run linearly; None decides by the likelihood, each input and
             recording of its own.
         begin: where to begin, instead of the motor file.
-        onward: go on from an earlier estimate, whose runs these are: their delays and how their inputs ran stay, and their
-            noise is where this one begins. What changed since then should be small.
         progress: told what goes on.
 
     Raises:
@@ -86,20 +88,65 @@ def estimate(
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
     progress("coming near")
-    if onward:
-        point = from_noise(model, runs, [run.noise for run in runs], prior)
-    else:
-        point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
-        point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
-        point = _with_more(point, model, runs, runs, prior, progress)
-    if point.model.tolerance != model.tolerance:
-        point = at(replace(point.model, tolerance=model.tolerance), point, prior)
+    point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
+    point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
+    point = _with_more(point, model, runs, runs, prior, progress)
+    point = at(replace(point.model, tolerance=model.tolerance), _seen(point), prior)
     point, gram, left = minimised(point, prior, progress, outliers=True)
     # Only where it ends does scatter between blocks tell of what is missing; on the way it is the parameters that are wrong.
     tempered = point.tempered()
     if tempered.inflation > 1.0:
         point, gram, left = minimised(tempered, prior, progress, outliers=True)
-    return _concluded(point, prior, gram, left)
+    found = _concluded(point, prior, gram, left)
+    said = findings(found.fit)
+    if said.told and said.untold and _shifted(found, said):
+        found = _put_back(found, point, said, progress)
+    return replace(found, runs=_followed(found.fit.model, found.runs))
+
+
+def _seen(near: Weighed) -> Weighed:
+    """A point near the best parameters with what shows only there: how its converters lean, and where its shaft stood."""
+    turned = any(
+        state.kind == "angle" for effect in near.model.file.motor.effects for state in effect.states.values()
+    )
+    runs = _followed(near.model, near.runs) if turned else near.runs
+    parts = zip(near.parts, runs, strict=True)
+    return replace(
+        near,
+        parts=tuple(
+            replace(part, run=run.leaning(part.run.measured - part.difference)) for part, run in parts
+        ),
+    )
+
+
+def _followed(model: Model, runs: Sequence[Run]) -> tuple[Run, ...]:
+    return tuple(followed(run, *predict(model, run, r)) for r, run in enumerate(runs))
+
+
+def _shifted(found: Estimate, said: Findings) -> bool:
+    """Whether putting back what is not told moves the rest of a fit by more than `MOVES` deviations."""
+    keys, fitted = found.fit.prior.keys, found.fit.model.values()
+    back = np.array([said.value[key] - fitted[key] for key in said.untold])
+    of = [keys.index(key) for key in said.untold]
+    rest = [keys.index(key) for key in said.told]
+    covariance = found.fit.covariance
+    moved = covariance[np.ix_(rest, of)] @ np.linalg.solve(covariance[np.ix_(of, of)], back)
+    return bool(np.any(np.abs(moved) > MOVES * np.sqrt(np.diagonal(covariance)[rest])))
+
+
+def _put_back(found: Estimate, end: Weighed, said: Findings, progress: Callable[[str], None]) -> Estimate:
+    """An estimate with what is not told where it was before; the rest, which leant on where it had gone, fitted again."""
+    prior = found.fit.prior
+    rest = prior.only([key for key in prior.keys if key not in said.untold])
+    model = found.fit.model.with_values({key: said.value[key] for key in said.untold})
+    again, gram, left = minimised(
+        replace(at(model, end, rest), inflation=end.inflation), rest, progress, outliers=True
+    )
+    other = _concluded(again, rest, gram, left)
+    fit = replace(
+        other.fit, prior=prior, penalty=prior.penalty(again.model.values()), covariance=found.fit.covariance
+    )
+    return replace(other, fit=fit)
 
 
 def _near(
@@ -129,7 +176,7 @@ def _with_more(
     model = replace(starting_as(near.model, begin, more), tolerance=COARSE if any(few) else begin.tolerance)
     found = tuple(as_found(run, piece) for run, piece in zip(runs, near.runs, strict=True))
     prior = prior_of(prior, begin, runs, few)
-    point = from_noise(model, found, [part.noise for part in near.parts], prior)
+    point = from_noise(model, found, [part.noise for part in near.parts], prior.keys)
     return minimised(point, prior, progress, outliers=False, trusted=TRUSTED)[0]
 
 

@@ -6,6 +6,7 @@ doi:10.1109/78.782208; one-sided windows keep steps, Katkovnik, Egiazarian and A
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -71,26 +72,28 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
 
 def _one_sided(y: Array, sd: float) -> tuple[Array, Array]:
     """Value at each sample of the longest believable line to its right, and its variance in units of sd^2."""
-    rows = len(y)
     sums = np.concatenate([[0.0], np.cumsum(y)])
-    moments = np.concatenate([[0.0], np.cumsum(np.arange(rows) * y)])
-    at = np.arange(rows)
-    value, variance = y.copy(), np.ones(rows)
-    low, high = y - CONFIDENCE * sd, y + CONFIDENCE * sd
-    going = np.ones(rows, dtype=bool)
-    for h in WINDOWS[1:]:
-        end = np.minimum(at + h, rows)
-        whole = end - at == h
-        total = sums[end] - sums[at]
-        first = moments[end] - moments[at] - at * total
-        here = (2 * (2 * h - 1) * total - 6 * first) / (h * (h + 1))
-        share = 2 * (2 * h - 1) / (h * (h + 1))
-        width = CONFIDENCE * sd * np.sqrt(share)
-        low, high = np.maximum(low, here - width), np.minimum(high, here + width)
-        going &= whole & (low <= high)
-        value = np.where(going, here, value)
-        variance = np.where(going, share, variance)
+    moments = np.concatenate([[0.0], np.cumsum(np.arange(len(y)) * y)])
+    value, variance = y.copy(), np.ones(len(y))
+    _longest_line(sums, moments, CONFIDENCE * sd, np.array(WINDOWS[1:]), value, variance)
     return value, variance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _longest_line(sums, moments, width, windows, value, variance):  # type: ignore[no-untyped-def]
+    for t in range(len(value)):
+        low, high = value[t] - width, value[t] + width
+        for h in windows:
+            if t + h > len(value):
+                break
+            total = sums[t + h] - sums[t]
+            first = moments[t + h] - moments[t] - t * total
+            here = (2 * (2 * h - 1) * total - 6 * first) / (h * (h + 1))
+            share = 2 * (2 * h - 1) / (h * (h + 1))
+            low, high = max(low, here - width * np.sqrt(share)), min(high, here + width * np.sqrt(share))
+            if low > high:
+                break
+            value[t], variance[t] = here, share
 
 
 def moving_mean(time_s: Array, y: Array, width_s: float) -> Array:

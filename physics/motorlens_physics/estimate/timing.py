@@ -93,7 +93,7 @@ class Timing:
         if any(few):
             longer = [as_found(run, piece) for run, piece in zip(self.longer, point.runs, strict=True)]
             noises = [part.noise for part in point.parts]
-            seen = from_noise(starting_as(point.model, self.wide, few), longer, noises, self.prior)
+            seen = from_noise(starting_as(point.model, self.wide, few), longer, noises)
             seen = at(seen.model, noisier(seen, 0), self.prior)
         lag = likeliest_lag(seen, self.prior)
         if lag is None:

@@ -26,8 +26,8 @@ from motorlens_physics.threads import on_all_cores
 
 Array = NDArray[np.float64]
 
-# Updates of the noise at the beginning, and while parameters are sought.
-AT_FIRST, BRIEFLY = 6, 8
+# Updates of the noise while parameters are sought.
+BRIEFLY = 8
 # Blocks of time between which the scatter of the scores is looked at, and how many each run has at least.
 BLOCKS, LEAST_BLOCKS = 64, 8
 # Steps, with the noise as it is found.
@@ -292,8 +292,8 @@ def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
     return out
 
 
-def first_point(model: Model, runs: Sequence[Run], keys: Sequence[str]) -> Weighed:
-    """The point at a model with all samples, and noise as large as the errors there."""
+def first_point(model: Model, runs: Sequence[Run], keys: Sequence[str] = ()) -> Weighed:
+    """The point at a model with all samples, and noise as large as the errors there; its normal equations are of `keys`."""
     torque = model.file.rated.torque_Nm
     unknown = [first_noise(run, np.ones_like(run.measured), torque) for run in runs]
     point = weighed(model, runs, unknown, [run.there for run in runs], keys)
@@ -303,14 +303,15 @@ def first_point(model: Model, runs: Sequence[Run], keys: Sequence[str]) -> Weigh
 
 def begun(model: Model, runs: Sequence[Run], prior: Prior) -> Weighed:
     """A first point, with its noise found, along inputs corrected by it."""
-    return at(model, noisier(first_point(model, runs, prior.keys), AT_FIRST, lasting_too=True), prior)
+    return at(model, noisier(first_point(model, runs), 0, lasting_too=True), prior)
 
 
-def from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise | None], prior: Prior) -> Weighed:
-    """A point with noise that was found before."""
-    point = first_point(model, runs, prior.keys)
+def from_noise(
+    model: Model, runs: Sequence[Run], noises: Sequence[Noise], keys: Sequence[str] = ()
+) -> Weighed:
+    """A point with noise that was found before; its normal equations are of `keys`."""
+    point = first_point(model, runs, keys)
     parts = [
-        part if known is None else replace(part, noise=part.noise.like(known))
-        for part, known in zip(point.parts, noises, strict=True)
+        replace(part, noise=part.noise.like(known)) for part, known in zip(point.parts, noises, strict=True)
     ]
     return replace(point, parts=tuple(parts))
