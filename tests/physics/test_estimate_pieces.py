@@ -9,8 +9,11 @@ from helpers.plain_motor import RATED, TYPICAL, recorded
 
 from motorlens_physics.estimate import estimate as estimation
 from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.pieces import as_found
+from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.weighed import at, first_point
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
@@ -63,6 +66,14 @@ def test_pieces_lead_where_all_samples_lead(monkeypatch: pytest.MonkeyPatch) -> 
     again = estimate(FILE, whole.runs, begin=whole.fit.model)
     stays = np.array([again.fit.model.values()[key] for key in keys])
     assert told(again) == told(whole) and np.abs((stays - meant) / sd).max() < 0.15
+
+
+@pytest.mark.fit
+def test_a_trial_is_weighed_as_the_point_it_is_compared_with() -> None:
+    runs = two_runs()[1:]
+    prior, model = base_prior(FILE, runs), start_model(FILE, runs)
+    tempered = dataclasses.replace(first_point(model, runs, prior.keys), inflation=3.0)
+    assert at(model, tempered, prior).cost == pytest.approx(tempered.cost, rel=1e-9)
 
 
 def test_a_piece_is_the_liveliest_part_and_starts_where_its_samples_say() -> None:

@@ -139,9 +139,15 @@ def _put_back(found: Estimate, end: Weighed, said: Findings, progress: Callable[
     prior = found.fit.prior
     rest = prior.only([key for key in prior.keys if key not in said.untold])
     model = found.fit.model.with_values({key: said.value[key] for key in said.untold})
-    again, gram, left = minimised(
-        replace(at(model, end, rest), inflation=end.inflation), rest, progress, outliers=True
-    )
+    # What had made up for it is far off at first, and no outlier.
+    near = minimised(
+        replace(at(model, end, rest), inflation=end.inflation),
+        rest,
+        progress,
+        outliers=False,
+        trusted=TRUSTED,
+    )[0]
+    again, gram, left = minimised(near, rest, progress, outliers=True)
     other = _concluded(again, rest, gram, left)
     fit = replace(
         other.fit, prior=prior, penalty=prior.penalty(again.model.values()), covariance=found.fit.covariance

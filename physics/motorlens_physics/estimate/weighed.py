@@ -212,15 +212,16 @@ def weighed(model: Model, runs: Sequence[Run], noises: Sequence[Noise], used: Se
 
 
 def at(model: Model, latest: Weighed, prior: Prior) -> Weighed:
-    """A point at other parameters, with the noise, the corrections and the samples of the latest."""
+    """A point at other parameters, with the noise, the corrections, the samples and the inflation of the latest."""
     parts = latest.parts
-    return weighed(
+    other = weighed(
         model,
         [part.run for part in parts],
         [part.noise for part in parts],
         [part.used for part in parts],
         prior.keys,
     )
+    return replace(other, inflation=latest.inflation)
 
 
 def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers: bool = False) -> Weighed:
