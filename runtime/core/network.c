@@ -40,6 +40,22 @@ static void all_tanh(const motorlens_real *x, int count, motorlens_real *out)
         out[k] = x[k] != x[k] ? x[k] : out[k];
 }
 
+#if MOTORLENS_LANES > 1
+/* `real_exp` of `count` numbers, likewise: what is beyond its range is set afterwards. */
+static void all_exp(const motorlens_real *x, int count, motorlens_real *out)
+{
+    for (int k = 0; k < count; k++) {
+        const motorlens_real low = x[k] > -708.0 ? x[k] : -708.0;
+        out[k] = low < 709.0 ? low : 709.0;
+    }
+    for (int k = 0; k < count; k++)
+        out[k] = exp_between(out[k]);
+    for (int k = 0; k < count; k++)
+        if (!(x[k] >= -708.0 && x[k] <= 709.0))
+            out[k] = real_exp(x[k]);
+}
+#endif
+
 /* A sensor that has no logarithm brings none: which functions there are is known when it is compiled. */
 #define HAS(function) ((MOTORLENS_FUNCTIONS >> (function)) & 1u)
 
@@ -89,6 +105,10 @@ void motorlens_network_evaluate(const motorlens_network *network, int features, 
             y = *value_of(&step->argument[1], width, (const motorlens_lanes *)columns, room[1]);
         if (step->function == MOTORLENS_TANH) { /* some apart, so that they are computed side by side */
             all_tanh(x, count, out);
+#if MOTORLENS_LANES > 1
+        } else if (step->function == MOTORLENS_EXP) {
+            all_exp(x, count, out);
+#endif
         } else if (step->function == MOTORLENS_MUL) {
             for (int k = 0; k < count; k++)
                 out[k] = x[k] * y[k];

@@ -257,6 +257,35 @@ def test_a_row_that_is_not_finite_harms_no_row_beside_it(pair):
         assert np.array_equal(found, expected)
 
 
+@needs_core
+def test_the_exponential_of_the_network_is_exp_to_both_ends_of_its_range():
+    """Sixteen rows are computed side by side; what is beyond its range in one of them changes no other."""
+    ends = [-np.inf, -1e300, -708.1, -708.0, 0.0, 709.0, 709.1, 1e300, np.inf, np.nan]
+    x = np.concatenate([np.random.default_rng(0).uniform(-708, 709, 150), ends])
+    features, found, sigma = np.ascontiguousarray(x), np.empty_like(x), np.empty_like(x)
+    table, zero, first = core_library.SensorTable(), (ctypes.c_double * 1)(0.0), (ctypes.c_uint16 * 1)(0)
+    table.features.features = 1
+    table.features.plus = ctypes.addressof(first)
+    table.envelope.mean, table.envelope.limit, table.envelope.distrust = ctypes.addressof(zero), math.inf, -1
+    step = core_library.StepTable(
+        1, 1, 1
+    )  # MOTORLENS_EXP of one column: the feature; what it gives is the third
+    network = table.network
+    network.steps, network.count, network.outputs = ctypes.addressof(step), 1, 1
+    network.estimate.start = network.sigma.start = 2
+    network.offset = ctypes.addressof(zero)
+    core_library.core().library.motorlens_evaluate_features(
+        ctypes.addressof(table), len(x), features.ctypes.data, found.ctypes.data, sigma.ctypes.data
+    )
+    within = np.abs(x) <= 708
+    exact = np.array([math.exp(value) for value in x[within]])
+    assert np.max(np.abs(found[within] / exact - 1)) < 4.5e-16 and np.array_equal(
+        found, sigma, equal_nan=True
+    )
+    assert found[-10:-7].tolist() == [0.0, 0.0, 0.0] and found[-4:-1].tolist() == [math.inf] * 3
+    assert np.isnan(found[-1]) and found[-5] == pytest.approx(math.exp(709.0), rel=1e-15)
+
+
 def test_estimates_are_what_the_publishers_expect():
     assert [f for f in Estimates.__dataclass_fields__] == ["time_ns", "values", "sigma", "quality"]
     assert Quality.ASSUMED_COLD == 4096

@@ -10,7 +10,8 @@ from helpers.sensor_files import features_by_loop, make_spec, write_sensor
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.core_estimator import open_estimator
+from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.observer import Observer
 from motorlens_runtime.estimate.quality import Quality
@@ -61,7 +62,7 @@ def start_up(n, seed=0):
 
 
 def run(sensor, samples, edges=()):
-    estimator = Estimator(sensor, 1e-3)
+    estimator = open_estimator(sensor, 1e-3)
     parts = [
         estimator.push(Samples(samples.time_ns[rows], samples.voltage_V[rows], samples.current_A[rows]))
         for rows in np.split(np.arange(len(samples)), np.sort(edges).astype(int))
@@ -108,6 +109,7 @@ def test_a_pause_of_any_length_leaves_an_observer_that_works(trained, pause_s):
 
 
 @pytest.mark.fit
+@pytest.mark.usefixtures("engine")
 def test_estimates_and_their_bits(trained, tmp_path):
     path = tmp_path / "s.onnx"
     spec, network = write_sensor(path, spec=spec_with(trained), features=features_with(trained))
@@ -122,13 +124,14 @@ def test_estimates_and_their_bits(trained, tmp_path):
         cut = run(sensor, samples, rng.integers(0, 700, 20))
         assert all(np.array_equal(getattr(cut, f), getattr(whole, f)) for f in Estimates.__dataclass_fields__)
     rows = np.flatnonzero(rng.random(700) < 0.1)
-    some = Estimator(sensor, 1e-3).push(samples, rows)
+    some = open_estimator(sensor, 1e-3).push(samples, rows)
     assert np.array_equal(some.values, whole.values[rows]) and np.array_equal(
         some.quality, whole.quality[rows]
     )
 
 
 @pytest.mark.fit
+@pytest.mark.usefixtures("engine")
 def test_rubbish_is_passed_over(trained, tmp_path):
     path = tmp_path / "s.onnx"
     write_sensor(path, spec=spec_with(trained), features=features_with(trained))
@@ -186,6 +189,7 @@ def test_a_document_that_is_no_observer_is_refused(change, words, tmp_path):
         Observer(tiny(**change))
 
 
+@pytest.mark.usefixtures("engine")
 def test_a_feature_of_an_output_that_is_not_there_is_refused(tmp_path):
     spec = make_spec()
     spec["observer"] = tiny()
@@ -201,6 +205,7 @@ def test_a_feature_of_an_output_that_is_not_there_is_refused(tmp_path):
         load_sensor(tmp_path / "s.onnx")
 
 
+@pytest.mark.usefixtures("engine")
 def test_an_observer_alone_without_filters(tmp_path):
     spec = make_spec(outputs=1)
     spec["observer"] = tiny(read=program(3, [], [["abs", 1]], [3]))
@@ -213,12 +218,13 @@ def test_an_observer_alone_without_filters(tmp_path):
     assert np.abs(result.values - network(features(spec, None, samples.voltage_V))[0]).max() < 2e-5 * 120
 
 
+@pytest.mark.usefixtures("engine")
 def test_heat_in_an_observer_is_remembered(trained, tmp_path):
     """Warm, off for an hour, restored from the file: the observer stands where a rest of an hour would have brought it."""
     snapshot = pytest.importorskip("motorlens_runtime.service.snapshot")
     write_sensor(tmp_path / "s.onnx", spec=spec_with(trained), features=features_with(trained))
     sensor = load_sensor(tmp_path / "s.onnx")
-    estimator = Estimator(sensor, 1e-3)
+    estimator = open_estimator(sensor, 1e-3)
     estimator.push(start_up(3000))
     snapshot.save(tmp_path / "heat", snapshot.take(sensor, "d", estimator.state, 10**18))
     restored = snapshot.restore(snapshot.load(tmp_path / "heat"), sensor, "d", 10**18 + 3600 * 10**9)

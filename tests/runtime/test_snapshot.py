@@ -13,7 +13,7 @@ import pytest
 from helpers.processes import Program
 from helpers.sensor_files import features_by_loop, make_spec, write_sensor
 
-from motorlens_runtime.estimate.estimator import Estimator
+from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.sensor.sensor import load_sensor
@@ -96,7 +96,7 @@ def samples(n, start_s=0.0, voltage=150.0, current=20.0, ambient=31.0):
 
 
 def hot_estimator(sensor):
-    estimator = Estimator(sensor, 0.001)
+    estimator = open_estimator(sensor, 0.001)
     estimator.push(samples(5000))
     return estimator
 
@@ -124,11 +124,11 @@ def test_a_restored_estimator_goes_on_as_one_that_saw_the_motor_stand_still(sens
     estimator = hot_estimator(sensor)
     taken = snapshot.take(sensor, "", estimator.state, 10**18)
     restored = snapshot.restore(taken, sensor, "", 10**18 + 200 * S)
-    through = Estimator(sensor, 0.001, estimator.state)
+    through = open_estimator(sensor, 0.001, estimator.state)
     through.push(Samples(np.array([204_999_000_000]), np.zeros(1), np.zeros(1), np.array([31.0])))
     again = samples(2000, start_s=205.0)
     expected = through.push(again)
-    resumed = Estimator(sensor, 0.001, restored.state).push(again)
+    resumed = open_estimator(sensor, 0.001, restored.state).push(again)
     scale = np.array([output.scale for output in sensor.specification.outputs])
     assert np.abs((resumed.values - expected.values) / scale).max() < 1e-5
 

@@ -12,7 +12,8 @@ from helpers.processes import eventually
 from helpers.sensor_files import make_spec, seal, write_sensor
 
 from motorlens_runtime.cli import main
-from motorlens_runtime.estimate.estimator import Estimates, Estimator
+from motorlens_runtime.estimate.core_estimator import open_estimator
+from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.sensor.sensor import load_sensor
@@ -51,7 +52,7 @@ def stream(n):
 
 def drive(first, offers, n=4000, block=10, shadow_s=0.5):
     """Feed blocks, offering sensors at given samples; returns estimates, events, and the sensor in service by block."""
-    samples, swap, estimator = stream(n), Swap(first.path, shadow_s=shadow_s), Estimator(first, 1e-3)
+    samples, swap, estimator = stream(n), Swap(first.path, shadow_s=shadow_s), open_estimator(first, 1e-3)
     parts, served = [], []
     for at in range(0, n, block):
         if at in offers:
@@ -82,7 +83,7 @@ def test_after_the_swap_it_is_as_if_the_new_one_had_run_from_the_start(tmp_path)
     changed = int(np.flatnonzero(served == b.digest)[0])
     assert 1500 <= changed <= 1530
     for sensor, rows in ((a, slice(0, changed)), (b, slice(changed, 4000))):
-        alone = Estimator(sensor, 1e-3).push(stream(4000))
+        alone = open_estimator(sensor, 1e-3).push(stream(4000))
         for field in Estimates.__dataclass_fields__:
             assert np.array_equal(getattr(result, field)[rows], getattr(alone, field)[rows]), field
 
@@ -107,7 +108,7 @@ def test_what_does_not_agree_is_not_taken(tmp_path, shift, words):
     result, events, served = drive(a, {1000: b})
     assert (served == a.digest).all() and len(events) == 1
     assert "not taken into service" in events[0]["message"] and words in events[0]["message"]
-    assert np.array_equal(result.values, Estimator(a, 1e-3).push(stream(4000)).values)
+    assert np.array_equal(result.values, open_estimator(a, 1e-3).push(stream(4000)).values)
 
 
 class Broken:
@@ -131,7 +132,7 @@ def test_one_that_breaks_in_service_is_rolled_back_without_a_bad_row(tmp_path):
     assert served[0] == served[-1] == a.digest and (served == b.digest).any()
     assert np.isfinite(result.values).all() and not (result.quality & Quality.NOT_FINITE).any()
     back = int(np.flatnonzero(served == b.digest)[-1]) + 1
-    assert np.array_equal(result.values[back:], Estimator(a, 1e-3).push(stream(4000)).values[back:])
+    assert np.array_equal(result.values[back:], open_estimator(a, 1e-3).push(stream(4000)).values[back:])
 
 
 def test_refusals_are_events(tmp_path):
@@ -154,7 +155,7 @@ def test_other_filters_take_over_what_they_share(tmp_path):
     spec["filters"][2] = {"signal": "current", "tau_s": 77.0}
     write_sensor(tmp_path / "c.onnx", spec=spec)
     c = load_sensor(tmp_path / "c.onnx")
-    estimator = Estimator(a, 1e-3)
+    estimator = open_estimator(a, 1e-3)
     estimator.push(stream(500))
     state, complete = carried(estimator.state, a, c)
     old = a.bank.values(estimator.state.bank)
