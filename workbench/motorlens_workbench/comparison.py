@@ -8,9 +8,11 @@ away.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from motorlens_physics.estimate.free_run import FreeRun
 from motorlens_physics.estimate.model import Model
@@ -41,6 +43,18 @@ class Overlay(FreeRun):
     """One recording and the model's free run on it, and what each equation lacks."""
 
     missing: Mapping[str, Array]  # equation -> (N,) in the unit of `EQUATIONS`
+
+    @cached_property
+    def spectra(self) -> Mapping[str, tuple[Array, Array]]:
+        """Channel -> frequencies (Hz) and power (unit^2, one-sided, sums to the mean square) of its error."""
+        time = self.run.inputs.time_s
+        # Evenly resampled, to as many samples as have a fast transform.
+        even = np.linspace(time[0], time[-1], next_fast_len(len(time), real=True))
+        frequency = np.fft.rfftfreq(len(even), even[1] - even[0])
+        return {
+            name: (frequency, _power(np.interp(even, time, self.error[:, c])))
+            for c, name in enumerate(self.run.channels)
+        }
 
     @property
     def noise(self) -> Array:
@@ -344,7 +358,7 @@ def _bands(channel: str, overlays: Sequence[Overlay], pace: TimeConstants) -> di
     for o in overlays:
         if channel not in o.run.channels:
             continue
-        frequency, density = spectrum(o, channel)
+        frequency, density = o.spectra[channel]
         band = np.searchsorted(borders, frequency)
         for k, name in enumerate(power):
             power[name] += float(density[band == k].sum())
@@ -352,15 +366,10 @@ def _bands(channel: str, overlays: Sequence[Overlay], pace: TimeConstants) -> di
     return {name: value / whole if whole > 0 else 0.0 for name, value in power.items()}
 
 
-def spectrum(overlay: Overlay, channel: str) -> tuple[Array, Array]:
-    """Frequencies (Hz) and power (unit^2, one-sided, sums to the mean square) of a channel's error, evenly resampled."""
-    run = overlay.run
-    time = run.inputs.time_s
-    even = np.linspace(time[0], time[-1], len(time))
-    error = np.interp(even, time, overlay.error[:, run.channels.index(channel)])
-    power = np.abs(np.fft.rfft(error)) ** 2 / len(error) ** 2
-    power[1 : -1 if len(error) % 2 == 0 else None] *= 2
-    return np.fft.rfftfreq(len(error), even[1] - even[0]), power
+def _power(y: Array) -> Array:
+    power = np.abs(np.fft.rfft(y)) ** 2 / len(y) ** 2
+    power[1 : -1 if len(y) % 2 == 0 else None] *= 2
+    return np.asarray(power)
 
 
 def _orders(

@@ -7,6 +7,7 @@ the sensor itself, and what the noise of the measured inputs stirs up in the sim
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -41,7 +42,7 @@ class FreeRun:
     predicted: Array
     floor: Array
 
-    @property
+    @cached_property
     def error(self) -> Array:
         """(N, C) measured less predicted; 0 where nothing was measured."""
         return np.where(self.run.valid[:, None], self.run.measured - self.predicted, 0.0)

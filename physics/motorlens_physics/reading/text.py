@@ -138,8 +138,10 @@ def _by_arrow(
     if len(comments) + len(cut) < len(short):
         return None
     notes += _left_out(len(comments), bool(cut))
-    # A part is given back as soon as it stands in its column.
-    return {k: np.concatenate(parts.pop(k) or [np.empty(0)]) for k in used}
+    # A part is given back as soon as it stands in its column, and by Arrow, which would keep it for other tables.
+    columns = {k: np.concatenate(parts.pop(k) or [np.empty(0)]) for k in used}
+    pa.default_memory_pool().release_unused()
+    return columns
 
 
 def _by_cell(

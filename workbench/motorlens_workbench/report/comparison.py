@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_physics.scenario import time_constants
 from motorlens_workbench.balances import EQUATIONS
-from motorlens_workbench.comparison import Comparison, remark, spectrum
+from motorlens_workbench.comparison import Comparison, remark
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Section, page, significant
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Samples, Table, cloud, curves
@@ -210,7 +210,7 @@ def _band_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
     pace = time_constants(found.file.motor)
     corners = {"thermal": pace.thermal_s, "mechanical": pace.mechanical_s, "electrical": pace.electrical_s}
     spectra = {
-        f"{o.run.name}: {channel}": (channel, *spectrum(o, channel)) for o in found.overlays for channel in o.run.channels
+        f"{o.run.name}: {channel}": (channel, *o.spectra[channel]) for o in found.overlays for channel in o.run.channels
     }  # fmt: skip
     least = min(float(f[1]) for _, f, _ in spectra.values())
     most = max(float(f[-1]) for _, f, _ in spectra.values())
