@@ -46,7 +46,7 @@ def test_the_overview_names_every_command_without_loading_what_is_heavy() -> Non
         "import sys; from motorlens_runtime.cli import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: pass\n"
-        "heavy = {'torch', 'scipy', 'sympy', 'numba', 'onnxruntime', 'matplotlib'} & set(sys.modules)\n"
+        "heavy = {'numpy', 'torch', 'scipy', 'sympy', 'numba', 'onnxruntime', 'matplotlib'} & set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)"
     )
     done = subprocess.run(

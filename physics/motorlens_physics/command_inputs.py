@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import WORDS
+from motorlens_runtime.files.words import WORDS
 
 # Only for names of types: the overview of all commands loads this module, and must not wait for scipy and numba.
 if TYPE_CHECKING:

@@ -22,7 +22,6 @@ from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import (
     QUANTITIES,
-    WORDS,
     Column,
     candidates,
     canonical_name,
@@ -31,6 +30,7 @@ from motorlens_runtime.files.columns import (
     understand,
 )
 from motorlens_runtime.files.guesses import refuse_counts
+from motorlens_runtime.files.words import WORDS
 
 Array = NDArray[np.float64]
 

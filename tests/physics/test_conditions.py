@@ -22,7 +22,7 @@ from motorlens_physics.sensitivity import linearise, sensitivities
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import WORDS
+from motorlens_runtime.files.words import WORDS
 
 # Without the heat, whose effect on R no closed form has.
 COLD = Motor(alpha=0.0)

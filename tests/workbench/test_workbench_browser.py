@@ -11,7 +11,7 @@ from helpers.browser import chromium, needs_browser, opened, serious
 from helpers.processes import MOTORLENS, Program, eventually
 
 from motorlens_runtime.cli import main
-from motorlens_runtime.files.columns import WORDS
+from motorlens_runtime.files.words import WORDS
 from motorlens_workbench.web.session import Session
 from motorlens_workbench.web.shelf import Shelf
 from motorlens_workbench.web.step import Choice, Order

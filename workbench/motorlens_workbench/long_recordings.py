@@ -16,7 +16,7 @@ from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
-from motorlens_runtime.files.columns import WORDS
+from motorlens_runtime.files.words import WORDS
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from motorlens_physics.reading import Array, Table
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import WORDS
 from motorlens_runtime.files.layout import HEAD_BYTES, MISSING, Layout, is_comment, layout_of, number, split
+from motorlens_runtime.files.words import WORDS
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 EXTRA = "workbench"

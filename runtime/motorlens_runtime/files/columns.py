@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.formula import Cells, Formula, is_formula, parse_formula
 from motorlens_runtime.files.units import BASES, Unit, in_heading, name_of
+from motorlens_runtime.files.words import WORDS
 
 # quantity -> (canonical unit, the words a heading may use for it, in lower case without blanks)
 QUANTITIES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -35,8 +36,6 @@ QUANTITIES: dict[str, tuple[str, tuple[str, ...]]] = {
     "terminal": ("", ("terminal", "terminals")),
     "shaft": ("", ("shaft",)),
 }  # fmt: skip
-# Quantities that are words instead of numbers with a unit; each counts from 0, and no word is used twice but for that.
-WORDS = {"terminal": ("driven", "open", "shorted", "current"), "shaft": ("free", "locked", "turned")}
 # Words that are a quantity only with its unit beside them: alone they are as often something else.
 _NEED_A_UNIT = frozenset(("u", "n", "velocity", "tension", "couple"))
 # The first spellings to offer for a canonical unit.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import WORDS
+from motorlens_runtime.files.words import WORDS
 from motorlens_workbench.web.shelf import Shelf
 
 KINDS = ("look", "compare", "diagnose", "add", "remove")
