@@ -51,11 +51,11 @@ bench: .venv/bench
 hil: .venv/everything
 	$(BIN)/python benchmarks/hil.py $(BENCH)
 
-# Rebuild the shipped sensors from their seed: filters alone, and filters beside a physics observer.
+# Rebuild the shipped sensors from their seed: a network on filters, and a physics observer alone.
 sensor: .venv/everything
 	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
 	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --observer models/motors/mellah2016.toml --seed 1 \
-		--cycles 20 --iterations 4 -o models/sensors/mellah2016_observer.onnx
+		--cycles 20 -o models/sensors/mellah2016_observer.onnx
 
 clean:
 	rm -rf .venv out dist build

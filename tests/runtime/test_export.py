@@ -171,8 +171,11 @@ def test_another_generator_of_c_agrees_on_the_core_graph(name, tmp_path):
     sensor = load_sensor(SHIPPED / f"{name}.onnx", "core")
     rows = np.random.default_rng(0).normal(size=(160, len(sensor.specification.features)))
     envelope = sensor.specification.envelope
-    # Where the sensor was trained, row after row in memory.
-    features = np.ascontiguousarray(envelope.mean + np.linalg.solve(envelope.cholesky.T, 2 * rows.T).T)
+    # An observer alone: its estimates, then logarithms.
+    features = rows * np.array([*(3 * scales(sensor.specification)), *[1.0] * (rows.shape[1] - 3)])
+    if envelope.mean is not None:
+        # Where the sensor was trained, row after row in memory.
+        features = np.ascontiguousarray(envelope.mean + np.linalg.solve(envelope.cholesky.T, 2 * rows.T).T)
     estimate, sigma = np.empty((2, 160, 3))
     pointers = [ctypes.c_void_p(array.ctypes.data) for array in (features, estimate, sigma)]
     ctypes.CDLL(str(library)).model(160, *pointers)

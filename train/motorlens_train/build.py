@@ -15,8 +15,8 @@ from motorlens_train.data import Cycle, arrays, errors, scale_of
 from motorlens_train.features import feature_rows
 from motorlens_train.observer.frame import Frame
 from motorlens_train.posterior import LastLayer
-from motorlens_train.sensor import Sensor
-from motorlens_train.specification import Array, Bank, Envelope, Rate, Specification
+from motorlens_train.sensor import Learned, Sensor
+from motorlens_train.specification import Array, Bank, Cloud, Envelope, Rate, Specification
 from motorlens_train.state import Record
 from motorlens_train.trainer import Settings, Trained, train
 
@@ -40,8 +40,6 @@ class Recipe:
         settings: of the trainer.
         activation: of the hidden units.
         skips: cascade or plain feed-forward.
-        mends: whether a network may correct an observer: one whose motor is known exactly errs by chance alone, and what a
-            network says beyond the cycles it was trained on is worse than chance.
     """
 
     name: str
@@ -54,7 +52,6 @@ class Recipe:
     settings: Settings = Settings()  # noqa: RUF009 -- frozen
     activation: str = "tanh"
     skips: bool = True
-    mends: bool = True
 
     @property
     def architecture(self) -> Architecture:
@@ -113,15 +110,14 @@ def build(
         scale_of(training, recipe.outputs), recipe.bank, recipe.rate, recipe.warm_up_s, envelope(training)
     )
     width = len(recipe.architecture.output_reads)
-    silent = Sensor(
-        recipe.name, specification, trained.network, trained.inputs, trained.targets, posterior,
+    silent = Learned(
+        trained.network, trained.inputs, trained.targets, posterior,
         torch.zeros(len(recipe.outputs), width, dtype=torch.float64),
     )  # fmt: skip
     if calibration:
         calibration = [frame.relative(c) if frame else c for c in calibration]
         if frame:
             share = _share([c.y for c in calibration], [silent.evaluate(c.x)[0] for c in calibration])
-            share = share * recipe.mends
             silent = _worth(silent, share, share)
         read = [silent.read(c.x) for c in calibration]
         off = [(silent.evaluate(c.x)[0] - c.y) / trained.targets.deviation.numpy() for c in calibration]
@@ -145,7 +141,8 @@ def build(
             off_targets = np.concatenate(guess) - np.concatenate(y)
             head[:, 0] = np.log((off_targets**2).mean(0) + 1e-10 * trained.targets.deviation.numpy() ** 2)
         head[:, 0] -= 2 * np.log(trained.targets.deviation.numpy())
-    sensor = replace(silent, noise=_single(torch.from_numpy(head)), frame=frame)
+    learned = replace(silent, noise=_single(torch.from_numpy(head)))
+    sensor = Sensor(recipe.name, specification, learned, frame)
     return Built(sensor, trained, _card(recipe, sensor, trained, training, unseen))
 
 
@@ -177,9 +174,7 @@ def envelope(cycles: Sequence[Cycle]) -> Envelope:
     return Envelope(
         (min(c.voltage_V[0] for c in cycles), max(c.voltage_V[1] for c in cycles)),
         (min(c.current_A[0] for c in cycles), max(c.current_A[1] for c in cycles)),
-        mean,
-        factor,
-        float(f"{4 * np.quantile(distance, 0.999):.4g}"),
+        Cloud(mean, factor, float(f"{4 * np.quantile(distance, 0.999):.4g}")),
     )
 
 
@@ -234,24 +229,24 @@ def _scaled(errors: Array, width: int) -> Array:
     return head
 
 
-def _worth(sensor: Sensor, share: Array, steady: Array) -> Sensor:
-    """The sensor with its correction of an observer reduced to what is borne out on cycles not trained on.
+def _worth(learned: Learned, share: Array, steady: Array) -> Learned:
+    """The network with its correction of an observer reduced to what is borne out on cycles not trained on.
 
     Where the observer is as good as can be, or the cycles are few, a network finds nothing but their accidents.
 
     Args:
-        sensor: whose network corrects an observer.
+        learned: corrects an observer.
         share: `[K]` what is kept of each output's correction.
         steady: `[K]` what is kept of its constant part.
     """
     network = replace(
-        sensor.network, output=_single(sensor.network.output * torch.from_numpy(share)[:, None])
+        learned.network, output=_single(learned.network.output * torch.from_numpy(share)[:, None])
     )
-    targets = replace(sensor.targets, mean=sensor.targets.mean * torch.from_numpy(steady))
+    targets = replace(learned.targets, mean=learned.targets.mean * torch.from_numpy(steady))
     # As the correction shrinks, so does what is not known of it.
-    kept = torch.from_numpy(share**2)[:, None] if sensor.posterior.variances.ndim == 2 else 1.0
-    posterior = replace(sensor.posterior, variances=_single(sensor.posterior.variances * kept))
-    return replace(sensor, network=network, targets=targets, posterior=posterior)
+    kept = torch.from_numpy(share**2)[:, None] if learned.posterior.variances.ndim == 2 else 1.0
+    posterior = replace(learned.posterior, variances=_single(learned.posterior.variances * kept))
+    return replace(learned, network=network, targets=targets, posterior=posterior)
 
 
 def _share(y: Sequence[Array], guess: Sequence[Array]) -> Array:

@@ -4,38 +4,33 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from motorlens_train.build import Built
-from motorlens_train.material import Material
+from motorlens_train.sensor import Sensor
 
 
-def write_card(built: Built, card: Mapping[str, Any], material: Material, path: Path) -> None:
+def write_card(sensor: Sensor, card: Mapping[str, Any], path: Path) -> None:
     """Write `NAME.md` beside the sensor."""
-    path.write_text(card_text(built, card, material), encoding="utf-8")
+    path.write_text(card_text(sensor, card), encoding="utf-8")
 
 
-def card_text(built: Built, card: Mapping[str, Any], material: Material) -> str:
+def card_text(sensor: Sensor, card: Mapping[str, Any]) -> str:
     """The card in Markdown."""
-    specification = built.sensor.specification
+    specification = sensor.specification
     rate, fence = specification.rate, specification.envelope
     lines = [
-        f"# {built.sensor.name}",
+        f"# {sensor.name}",
         "",
         f"A virtual sensor: {', '.join(f'{o.name} ({o.unit})' for o in specification.outputs)} from "
         f"{' and '.join(specification.document()['inputs'])}.",  # type: ignore[arg-type]
         "",
-        f"- Trained on {card['trained_on']}; {card['samples_seen']} samples seen, {card['training_rows']} rows kept.",
-        f"- {card['network']}, {card['parameters']} weights of which {card['effective_parameters']:g} effective; "
-        f"log evidence {card['log_evidence']:g}; seed {card['seed']}; training {card['stopped']}.",
+        *_origin(card),
         f"- For {rate.minimum:g} to {rate.maximum:g} samples a second (nominal {rate.nominal:g}), "
         f"{fence.voltage_V[0]:.4g} to {fence.voltage_V[1]:.4g} V, {fence.current_A[0]:.4g} to {fence.current_A[1]:.4g} A.",
-        f"- Training data SHA-256 {card['training_data_sha256']}.",
         "",
     ]
-    tables = {
-        f"{card['unseen_cycles']} duty cycles not trained on": card["unseen"],
-        "the recordings it was trained on": card["training"],
-        **card.get("cases", {}),
-    }
+    tables = {f"{card['unseen_cycles']} duty cycles not trained on": card["unseen"]}
+    if "training" in card:
+        tables["the recordings it was trained on"] = card["training"]
+    tables |= card.get("cases", {})
     lines += [
         "| errors on | output | rms | largest | worst cycle's rms | 95 % interval covers |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -62,3 +57,19 @@ def card_text(built: Built, card: Mapping[str, Any], material: Material) -> str:
             f"{paper['training_error']:.1e}.",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _origin(card: Mapping[str, Any]) -> list[str]:
+    """Where it comes from."""
+    if "training" not in card:
+        counts = ", ".join(f"{count} to {name}" for name, count in card["operations"].items())
+        return [
+            f"- The physics observer of the motor file, alone: nothing in it is trained. Arithmetic operations: {counts}.",
+            f"- Judged on {card['trained_on']}; seed {card['seed']}, {card['samples_seen']} samples.",
+        ]
+    return [
+        f"- Trained on {card['trained_on']}; {card['samples_seen']} samples seen, {card['training_rows']} rows kept.",
+        f"- {card['network']}, {card['parameters']} weights of which {card['effective_parameters']:g} effective; "
+        f"log evidence {card['log_evidence']:g}; seed {card['seed']}; training {card['stopped']}.",
+        f"- Training data SHA-256 {card['training_data_sha256']}.",
+    ]

@@ -19,7 +19,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from motorlens_train.features import wiring
 from motorlens_train.observer.nodes import observer_nodes
-from motorlens_train.sensor import Sensor
+from motorlens_train.sensor import Learned, Sensor
 from motorlens_train.specification import Bank
 
 OPSET, IR_VERSION = 17, 8
@@ -50,27 +50,23 @@ def step_graph(sensor: Sensor, metadata: Mapping[str, str]) -> bytes:
     """The step graph: `(voltage, current, [ambient,] dt, state) -> (estimate, sigma, next_state)`, all float64."""
     graph = _Graph()
     bank = sensor.bank
-    stack = graph.add("Concat", [_signal(graph, name, bank) for name in bank.signals], axis=0)
-    drive = graph.add(
-        "Gather", [stack, graph.whole([bank.signals.index(f.signal) for f in bank.filters])], axis=0
-    )
-    decay = graph.add(
-        "Exp", [graph.add("Div", [graph.add("Neg", ["dt"]), graph.exact([f.tau_s for f in bank.filters])])]
-    )
     filters, size = len(bank.filters), bank.observer.size if bank.observer else 0
-    filtered, observed = ["state", ""]
-    if bank.observer:
+    filtered = observed = "state"
+    if filters and size:
         filtered, observed = graph.split("state", [filters, size])
-    kept = graph.add("Mul", [graph.add("Sub", [filtered, drive]), decay])
-    state = graph.add("Add", [drive, kept], "" if bank.observer else "next_state")
-    parts = [stack, state, graph.exact([0.0])]
+    parts = [graph.exact([0.0])]
+    kept = []
+    if bank.signals:
+        stack = graph.add("Concat", [_signal(graph, name, bank) for name in bank.signals], axis=0)
+        state = _filtered(graph, bank, stack, filtered)
+        parts, kept = [stack, state, *parts], [state]
     if bank.observer:
         ambient = "ambient" if bank.ambient else graph.exact([bank.observer.ambient_C])
         outputs_seen, after = observer_nodes(
             graph, bank.observer, "voltage", "current", ambient, "dt", observed
         )
-        graph.add("Concat", [state, after], "next_state", axis=0)
-        parts.append(outputs_seen)
+        parts, kept = [*parts, outputs_seen], [*kept, after]
+    graph.add("Concat", kept, "next_state", axis=0)
     everything = graph.add("Concat", parts, axis=0)
     plus, minus = (graph.add("Gather", [everything, graph.whole(index)], axis=0) for index in wiring(bank))
     features = graph.add("Sub", [plus, minus])
@@ -89,6 +85,17 @@ def step_graph(sensor: Sensor, metadata: Mapping[str, str]) -> bytes:
         ],
         metadata,
     )
+
+
+def _filtered(graph: "_Graph", bank: Bank, signals: str, before: str) -> str:
+    """The filters after a sample."""
+    drive = graph.add(
+        "Gather", [signals, graph.whole([bank.signals.index(f.signal) for f in bank.filters])], axis=0
+    )
+    decay = graph.add(
+        "Exp", [graph.add("Div", [graph.add("Neg", ["dt"]), graph.exact([f.tau_s for f in bank.filters])])]
+    )
+    return graph.add("Add", [drive, graph.add("Mul", [graph.add("Sub", [before, drive]), decay])])
 
 
 def write_sensor(
@@ -149,12 +156,27 @@ def _signal(graph: "_Graph", name: str, bank: Bank) -> str:
 
 
 def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
-    """Scaling, layers, output, standard deviation; `features` is `[N, F]` float64. Returns estimate and sigma."""
-    network, architecture = sensor.network, sensor.network.architecture
+    """From `features`, `[N, F]` float64, to estimate and sigma."""
+    if sensor.frame is None:
+        return _learned(graph, sensor.learned, features)
+    base, spread = sensor.frame.selection(len(sensor.bank.features))
+    start = graph.add("MatMul", [features, graph.exact(base)])
+    deviation = graph.add("Exp", [graph.add("MatMul", [features, graph.exact(spread)])])
+    if sensor.learned is None:
+        return start, deviation
+    mean, sigma = _learned(graph, sensor.learned, features)
+    estimate = graph.add("Add", [start, graph.add("Mul", [deviation, mean])])
+    return estimate, graph.add("Mul", [deviation, sigma])
+
+
+def _learned(graph: "_Graph", learned: Learned | None, features: str) -> tuple[str, str]:
+    """Scaling, layers, output, standard deviation of a network."""
+    assert learned is not None
+    network, architecture = learned.network, learned.network.architecture
     # Whitening takes small differences of large features, so all is computed in float64; weights are float32
     # numbers.
-    centred = graph.add("Sub", [features, graph.exact(sensor.inputs.mean)])
-    known = [graph.add("MatMul", [centred, graph.weights(sensor.inputs.matrix)])]
+    centred = graph.add("Sub", [features, graph.exact(learned.inputs.mean)])
+    known = [graph.add("MatMul", [centred, graph.weights(learned.inputs.matrix)])]
     first = 0
     for layer, width in enumerate(architecture.hidden):
         reads = len(architecture.reads(layer))
@@ -164,22 +186,16 @@ def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
         known.append(graph.add(architecture.function.onnx, [net]))
     read = _read(graph, known, architecture.skips)
     scaled = graph.affine(read, network.output.T)
-    deviation = graph.exact(sensor.targets.deviation)
-    estimate = graph.add("Add", [graph.add("Mul", [scaled, deviation]), graph.exact(sensor.targets.mean)])
-    along = graph.affine(read, sensor.posterior.basis)
+    deviation = graph.exact(learned.targets.deviation)
+    estimate = graph.add("Add", [graph.add("Mul", [scaled, deviation]), graph.exact(learned.targets.mean)])
+    along = graph.affine(read, learned.posterior.basis)
     function = graph.add(
-        "MatMul", [graph.add("Mul", [along, along]), graph.weights(sensor.posterior.variances.T)]
+        "MatMul", [graph.add("Mul", [along, along]), graph.weights(learned.posterior.variances.T)]
     )
     limits = [graph.exact(np.array(limit)) for limit in LOG_VARIANCE_RANGE]
-    noise = graph.add("Exp", [graph.add("Clip", [graph.affine(read, sensor.noise.T), *limits])])
+    noise = graph.add("Exp", [graph.add("Clip", [graph.affine(read, learned.noise.T), *limits])])
     sigma = graph.add("Mul", [graph.add("Sqrt", [graph.add("Add", [function, noise])]), deviation])
-    if sensor.frame is None:
-        return estimate, sigma
-    base, spread = sensor.frame.selection(len(sensor.bank.features))
-    start = graph.add("MatMul", [features, graph.exact(base)])
-    deviation = graph.add("Exp", [graph.add("MatMul", [features, graph.exact(spread)])])
-    estimate = graph.add("Add", [start, graph.add("Mul", [deviation, estimate])])
-    return estimate, graph.add("Mul", [deviation, sigma])
+    return estimate, sigma
 
 
 def _read(graph: "_Graph", known: Sequence[str], skips: bool) -> str:

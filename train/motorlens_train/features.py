@@ -73,7 +73,9 @@ def feature_rows(
         `[len(rows), F]` in SI units.
     """
     names = bank.signals
-    signals = np.stack([signal(name, voltage_V, current_A, bank.resistance_ohm, ambient_C) for name in names])
+    signals = np.empty((len(names), len(time_s)))
+    for k, name in enumerate(names):
+        signals[k] = signal(name, voltage_V, current_A, bank.resistance_ohm, ambient_C)
     step = float(np.median(np.diff(time_s))) if first_dt_s is None else first_dt_s
     dt = np.diff(time_s, prepend=time_s[0] - step)
     chosen = np.arange(len(time_s)) if rows is None else rows

@@ -10,6 +10,7 @@ from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.scenario import parse_noise, time_constants
 from motorlens_runtime.errors import DataError
+from motorlens_train.alone import alone
 from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.extended_kalman import noise_of as noise_found
 from motorlens_train.build import Recipe
@@ -76,10 +77,14 @@ def from_motor(
     if observed is not None:
         settings = ObserverSettings(voltage_sd=deviations.voltage_V, current_sd=deviations.current_A)
         bank = with_observer(bank, observed, tolerant(settings, tolerance))
+        bank = bank if tolerance else alone(bank)
         starts = "every second one started warm or switched on late"
     fifth = cycles // 5
-    made = []
-    for number in range(cycles + fifth):
+    made: dict[int, Cycle] = {}
+    # An observer that stands alone learns nothing: only those to test it on are wanted.
+    learns = observed is None or tolerance > 0
+    numbers = range(cycles + fifth) if learns else (*range(fifth, 2 * fifth), *range(cycles, cycles + fifth))
+    for number in numbers:
         # An observer reads the temperature off the inrush, so what it stands in may have any history.
         unknown = number >= cycles or (observed is not None and number % 2 == 1)
         rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3] if observed is not None else rate_Hz
@@ -91,20 +96,23 @@ def from_motor(
             if observed is None
             else deviations.of_any_size(np.random.default_rng([seed, number, 2]))
         )
-        made.append(simulated(one, bank, noise_here, rate, [seed, number], unknown, settled))
-        done(number + 1)
+        made[number] = simulated(one, bank, noise_here, rate, [seed, number], unknown, settled)
+        done(len(made))
     usual = (12, 8) if observed is None else (6,)
     recipe = Recipe(
         name, bank, OUTPUTS, usual if hidden is None else hidden,
-        # The filters of a network alone know the rates they were trained at; an observer's equations hold at any.
-        Rate(rate_Hz, rate_Hz / 5, (2 if observed is None else 20) * rate_Hz),
+        # The filters of a network alone know the rates they were trained at; an observer's equations hold at any. It is
+        # judged at a fifth to twenty times the rate, and steps of a clock that jitters are up to a fifth off.
+        Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz)
+        if observed is None
+        else Rate(rate_Hz, rate_Hz / 6, 24 * rate_Hz),
         5 * time_constants(file.motor).mechanical_s, seed,
         # What an observer leaves over is small, and alike for minutes.
         Settings(iterations=iterations, time_series=observed is not None),
-        mends=observed is None or tolerance > 0,
     )  # fmt: skip
     origin = (
-        f"{cycles - 2 * fifth} simulated duty cycles of {file.name}: random voltage, load and ambient, hot restarts, "
+        f"{cycles - 2 * fifth if learns else len(made)} simulated duty cycles of {file.name}: random voltage, load and "
+        "ambient, hot restarts, "
         f"{starts}, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
         f"{deviations.current_A:.3g} A a sample"
         + ("" if observed is None else ", times 0.05 to 10")
@@ -115,8 +123,10 @@ def from_motor(
         )
         + ("; errors count from one second after the first voltage step" if observed is not None else "")
     )
-    parts = [made[2 * fifth : cycles], made[:fifth], made[fifth : 2 * fifth], made[cycles:]]
-    training, calibration, unseen, late = (tuple(c for c in part if len(c.x)) for part in parts)
+    parts = range(2 * fifth, cycles), range(fifth), range(fifth, 2 * fifth), range(cycles, cycles + fifth)
+    training, calibration, unseen, late = (
+        tuple(made[k] for k in part if k in made and len(made[k].x)) for part in parts
+    )
     cases = {"started warm or switched on late, unknown to the sensor": late} if late else {}
     return Material(recipe, training, calibration, unseen, origin, cases)
 

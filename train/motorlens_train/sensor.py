@@ -14,28 +14,53 @@ from motorlens_train.specification import Array, Bank, Specification
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """Everything the exported graphs hold.
+class Learned:
+    """A network and what is not known of it.
 
     Attributes:
-        name: of the sensor.
-        specification: signals, features, outputs, envelope.
         network: on scaled features and outputs.
         inputs: whitening of the features.
         targets: scaling of the outputs.
         posterior: last-layer posterior of the function.
         noise: weights `[K, Z]` of the logarithm of each output's remaining variance (scaled), on what the output
             layer reads.
-        frame: what the outputs are relative to, where the bank has an observer.
     """
 
-    name: str
-    specification: Specification
     network: Network
     inputs: Whitening
     targets: Scaling
     posterior: LastLayer
     noise: Tensor
+
+    def evaluate(self, features: Array) -> tuple[Array, Array]:
+        """Mean and sigma `[N, K]` for features `[N, F]`, in float64."""
+        read = self.read(features)
+        mean = self.targets.restore(read @ self.network.output.T)
+        variance = self.posterior.variance(read) + (read @ self.noise.T).clamp(-25.0, 10.0).exp()
+        return mean.numpy(), (variance.sqrt() * self.targets.deviation).numpy()
+
+    def read(self, features: Array) -> Tensor:
+        """What the output layer reads, `[N, Z]`, its first column the constant."""
+        architecture = self.network.architecture
+        scaled = self.inputs.scale(torch.from_numpy(np.ascontiguousarray(features, dtype=np.float64)))
+        z = forward(architecture, dense(architecture, self.network.hidden), scaled.T)
+        return architecture.read_by_output(z).T
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Everything the exported graphs hold: a network, an observer that a network mends, or an observer alone.
+
+    Attributes:
+        name: of the sensor.
+        specification: signals, features, outputs, envelope.
+        learned: the network; None where the observer stands alone.
+        frame: what the outputs are relative to, where the bank has an observer.
+    """
+
+    name: str
+    specification: Specification
+    learned: Learned | None
     frame: Frame | None = None
 
     @property
@@ -45,18 +70,11 @@ class Sensor:
 
     def evaluate(self, features: Array) -> tuple[Array, Array]:
         """Estimate and sigma `[N, K]` for features `[N, F]`, in float64."""
-        read = self.read(features)
-        mean = self.targets.restore(read @ self.network.output.T)
-        variance = self.posterior.variance(read) + (read @ self.noise.T).clamp(-25.0, 10.0).exp()
-        sigma = variance.sqrt() * self.targets.deviation
         if self.frame is None:
-            return mean.numpy(), sigma.numpy()
+            assert self.learned is not None
+            return self.learned.evaluate(features)
         estimate, deviation = self.frame.start(features)
-        return estimate + deviation * mean.numpy(), deviation * sigma.numpy()
-
-    def read(self, features: Array) -> Tensor:
-        """What the output layer reads, `[N, Z]`, its first column the constant."""
-        architecture = self.network.architecture
-        scaled = self.inputs.scale(torch.from_numpy(np.ascontiguousarray(features, dtype=np.float64)))
-        z = forward(architecture, dense(architecture, self.network.hidden), scaled.T)
-        return architecture.read_by_output(z).T
+        if self.learned is None:
+            return estimate, deviation
+        mean, sigma = self.learned.evaluate(features)
+        return estimate + deviation * mean, deviation * sigma

@@ -65,16 +65,32 @@ class Envelope:
 
     Attributes:
         voltage_V, current_A: lowest and highest value.
+        cloud: of the features; None where nothing was learned from them.
+    """
+
+    voltage_V: tuple[float, float]
+    current_A: tuple[float, float]
+    cloud: "Cloud | None" = None
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Where the features were in training.
+
+    Attributes:
         mean: `[F]` mean of the features.
         precision_cholesky: `[F, F]` lower triangular C with C C^T the inverse covariance.
         limit: largest `|C^T (x - mean)|^2` that counts as inside.
     """
 
-    voltage_V: tuple[float, float]
-    current_A: tuple[float, float]
     mean: Array
     precision_cholesky: Array
     limit: float
+
+    def document(self) -> dict[str, object]:
+        """As the specification writes it."""
+        cholesky = _rounded(self.precision_cholesky)
+        return {"mean": _rounded(self.mean), "precision_cholesky": cholesky, "limit": self.limit}
 
 
 @dataclass(frozen=True)
@@ -141,11 +157,7 @@ class Specification:
             "envelope": {
                 "voltage_V": list(envelope.voltage_V),
                 "current_A": list(envelope.current_A),
-                "features": {
-                    "mean": _rounded(envelope.mean),
-                    "precision_cholesky": _rounded(envelope.precision_cholesky),
-                    "limit": envelope.limit,
-                },
+                **({"features": envelope.cloud.document()} if envelope.cloud else {}),
             },
         }
 

@@ -5,7 +5,8 @@ examples:
   motorlens train --recordings run1.csv run2.csv --column speed=wL_rad_s -o mine.onnx
 
 With --tolerance 10 the sensor is for every motor of the make, not for the one of the file; an observer inside
-it (--observer) then finds R, ke and J of the motor it is put on.
+it (--observer) then finds R, ke and J of the motor it is put on. Without --tolerance the observer's motor is known, and
+it stands alone: nothing is trained, and --cycles says on how many it is judged.
 
 From a motor file, duty cycles are simulated with random voltage, load and ambient. From recordings, the
 targets that were measured (speed, temperature, resistance) decide what the sensor promises. Beside OUT.onnx stand
@@ -15,6 +16,7 @@ OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card with the
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from motorlens_runtime.cli import add_json_argument, write_json
 
@@ -51,6 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.motor_file import read_motor_file
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
+    from motorlens_train.alone import card_of, observer_alone
     from motorlens_train.build import build, golden, measured
     from motorlens_train.card import write_card
     from motorlens_train.commands.parse import hidden_layers
@@ -66,7 +69,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError(f"-o {output}: a sensor file ends in .onnx")
     observed = read_motor_file(arguments.observer) if arguments.observer else None
     hidden = hidden_layers(arguments.hidden) if arguments.hidden else None
-    with Progress(1.2 * arguments.cycles, "simulating") as progress:
+    stands_alone = observed is not None and not arguments.tolerance
+    count = 2 * (arguments.cycles // 5) if stands_alone else 1.2 * arguments.cycles
+    with Progress(count, "simulating") as progress:
         if arguments.motor:
             material = from_motor(
                 Path(arguments.motor), output.stem, arguments.cycles, arguments.rate, arguments.noise, arguments.seed,
@@ -82,26 +87,33 @@ def run(arguments: argparse.Namespace) -> int:
                 arguments.iterations,
                 observed,
             )
-    with Progress(arguments.iterations, "training") as progress:
-        built = build(
-            material.recipe, material.training, material.calibration, material.unseen,
-            lambda record: progress.update(record.iteration + 1, f"error {max(record.error):.3g}"),
-            Path(arguments.checkpoint) if arguments.checkpoint else None,
-        )  # fmt: skip
-    cases = {title: measured(built.sensor, cycles) for title, cycles in material.cases.items()}
-    card = built.card | {"trained_on": material.origin, "cases": cases}
-    if arguments.motor:
+    report: dict[str, Any] = {}
+    if material.training:
+        with Progress(arguments.iterations, "training") as progress:
+            built = build(
+                material.recipe, material.training, material.calibration, material.unseen,
+                lambda record: progress.update(record.iteration + 1, f"error {max(record.error):.3g}"),
+                Path(arguments.checkpoint) if arguments.checkpoint else None,
+            )  # fmt: skip
+        sensor, card, report = built.sensor, built.card, built.trained.report()
+    else:
+        assert observed is not None
+        sensor = observer_alone(material.recipe, observed)
+        card = card_of(sensor, material.unseen, arguments.seed)
+    cases = {title: measured(sensor, cycles) for title, cycles in material.cases.items()}
+    card |= {"trained_on": material.origin, "cases": cases}
+    if arguments.motor and material.training:
         card["paper"] = asdict(paper_of(Path(arguments.motor), material.recipe, arguments.noise))
-    write_sensor(built.sensor, card, golden(built.sensor), output)
-    write_card(built, card, material, output.with_suffix(".md"))
+    write_sensor(sensor, card, golden(sensor), output)
+    write_card(sensor, card, output.with_suffix(".md"))
     print(
         f"{output}: {card['network']}, {card['parameters']} parameters, {output.stat().st_size / 1000:.1f} kB"
     )
     for name, figures in (card["unseen"] or card["training"]).items():
-        unit = next(o.unit for o in built.sensor.specification.outputs if o.name == name)
+        unit = next(o.unit for o in sensor.specification.outputs if o.name == name)
         where = "unseen duty cycles" if card["unseen"] else "the training recordings"
         covered = f"95 % interval covers {100 * figures['coverage_95']:.1f} %"
         print(f"  {name}: rmse {figures['rmse']:.4g} {unit} on {where}, {covered}")
-    write_json({"schema": "motorlens.train/1", "sensor": str(output), "card": card, "report": built.trained.report()},
+    write_json({"schema": "motorlens.train/1", "sensor": str(output), "card": card, "report": report},
                arguments.json)  # fmt: skip
     return 0

@@ -102,6 +102,26 @@ class Program:
             return number(self.constants[constant])
         return f"{register}{self.outputs[k]}"
 
+    def giving(self, outputs: Sequence[int]) -> "Program":
+        """The program that gives some of its outputs, by number, with the operations that these need."""
+        first = len(self.inputs)
+        wanted = [self.outputs[k] for k in outputs]
+        needed, stack = set(range(first)), list(wanted)
+        while stack:
+            register = stack.pop()
+            if register not in needed:
+                needed.add(register)
+                step = register - first - len(self.constants)
+                stack += self.steps[step][1] if step >= 0 else ()
+        number = {register: k for k, register in enumerate(sorted(needed))}
+        constants = tuple(c for k, c in enumerate(self.constants, first) if k in needed)
+        steps = tuple(
+            (name, tuple(number[a] for a in arguments))
+            for k, (name, arguments) in enumerate(self.steps, first + len(self.constants))
+            if k in needed
+        )
+        return Program(self.inputs, constants, steps, tuple(number[register] for register in wanted))
+
     def compiled(self) -> "Native":
         """Machine code `(inputs (n,), outputs (m,)) -> None` that fills the second array, for numba's functions to call.
 
