@@ -1,0 +1,85 @@
+"""From recordings to the make: what all of them show goes into the motor file; a fault of the sensors is no part of it.
+
+The parabolas are drawn, not fitted: every true value is known, and no recording is simulated.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motorlens_physics.motor_file import read_motor_file, to_toml
+from motorlens_workbench.fleet.manifest import Entry
+from motorlens_workbench.fleet.queue import Done
+from motorlens_workbench.fleet.store import Store
+from motorlens_workbench.fleet.study import study
+from motorlens_workbench.fleet.summary import Parabola, switch_of, with_candidates
+from motorlens_workbench.fleet.work import Job
+
+KEYS = ("R_a0", "ke", "b", "coulomb_friction.tau_c", switch_of("speed_sensor_gain"))
+MAKE, SPREAD = np.array([3.8, 0.9, 0.0017]), np.array([0.06, 0.03, 0.15])
+# Standard deviations of one recording: relative, then of friction and of the gain.
+OWN = np.array([0.01, 0.002, 0.1, 0.02, 0.004])
+MOTORS, EACH, DRAGS = 24, 3, 11
+
+
+def recorded(folder: Path, gain: float) -> tuple[list[Entry], dict[str, Parabola], float]:
+    """Recordings of motors of one make by a tachometer with a gain, and their mean ke; one of the motors drags."""
+    rng, null = np.random.default_rng(4), np.array([*MAKE, 0.0, 1.0])
+    width = OWN * np.array([*MAKE, 1.0, 1.0])
+    # A tachometer that shows too much and a small ke are alike, but for what the start shows.
+    correlation = np.eye(len(KEYS))
+    correlation[1, 4] = correlation[4, 1] = 0.8
+    covariance = correlation * np.outer(width, width)
+    information, root = np.linalg.inv(covariance), np.linalg.cholesky(covariance)
+    entries, parabolas, ke = [], {}, []
+    for m in range(MOTORS):
+        truth = np.array([*MAKE * np.exp(SPREAD * rng.standard_normal(3)), 0.3 if m == DRAGS else 0.0, gain])
+        ke.append(truth[1])
+        for r in range(EACH):
+            path = folder / f"m{m:02d}-{r}.csv"
+            path.write_text(path.name, encoding="ascii")  # what is read of it: results are kept by content
+            top = truth + root @ rng.standard_normal(len(KEYS))
+            parabolas[path.name] = Parabola(KEYS, null, information @ (top - null), information)
+            entries.append(Entry(f"m{m:02d}", path, path.name))
+    return entries, parabolas, float(np.mean(ke))
+
+
+def studied(folder: Path, gain: float):
+    entries, parabolas, ke = recorded(folder, gain)
+
+    def work(jobs):
+        for number, job in enumerate(jobs):
+            yield Done(number, {"parabola": parabolas[job.path.name].as_json()})
+
+    template = Job(entries[0].path, read_motor_file("mellah2016"))
+    return study(entries, template, Store(folder / "results"), work), template.file, ke
+
+
+@pytest.mark.fit
+def test_a_fault_of_the_sensors_of_all_is_fitted_along_and_is_no_part_of_the_make(tmp_path):
+    fleet, file, ke = studied(tmp_path, 1.03)
+    assert [fault.name for fault in fleet.faults] == ["speed_sensor_gain"] and fleet.effects == ()
+    assert fleet.faults[0].of_sensor and fleet.faults[0].share > 0.9
+    # It is in the file that the motors are fitted with, and told to what all recordings together say ...
+    assert {sensor.name() for sensor in fleet.population.file.sensors} == {"speed_sensor_gain"}
+    mean, sd = fleet.population.mean()
+    at = fleet.population.keys.index(KEYS[4])
+    assert abs(mean[at] - 1.03) < 3 * sd[at] and sd[at] < 0.002
+    # ... and ke is that of the motors: beside a gain of one it would be 1.2 % less (0.8 x 0.2 % / 0.4 % x 3 %).
+    assert mean[fleet.population.keys.index("ke")] == pytest.approx(ke, rel=0.002)
+    # A new motor is measured by other sensors.
+    assert fleet.make.sensors == file.sensors == ()
+    assert not any("_sensor_" in key for key in fleet.make.knowledge)
+    assert "sensor" not in to_toml(fleet.make)
+    assert fleet.make.motor.R_a0 == pytest.approx(mean[fleet.population.keys.index("R_a0")])
+    # Nobody is odd for what all show; the one that drags is.
+    assert [fleet.population.motors[m] for m in fleet.odd] == [f"m{DRAGS:02d}"]
+
+
+@pytest.mark.fit
+def test_sound_sensors_are_not_blamed(tmp_path):
+    fleet, file, _ = studied(tmp_path, 1.0)
+    assert fleet.faults == () and fleet.effects == ()
+    assert fleet.population.file == with_candidates(file, ())
+    assert [fleet.population.motors[m] for m in fleet.odd] == [f"m{DRAGS:02d}"]
