@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from motorlens_physics.estimate.converter import Converter, converter_of, leaning, quantisation_step
+from motorlens_physics.estimate.converter import (
+    Converter,
+    converter_of,
+    leaning,
+    quantisation_step,
+    saturated,
+)
 from motorlens_physics.estimate.signals import noise_sd, smoothed
 
 STEP = 0.3
@@ -52,3 +58,23 @@ def test_noise_beneath_the_step_is_seen_and_smoothed(sd):
 def test_a_continuous_channel_has_no_converter():
     y = np.random.default_rng(3).standard_normal(1000)
     assert converter_of(y) == Converter() and not converter_of(y).bias(y).any()
+
+
+@pytest.mark.parametrize("bits", [10, 11, 12])
+def test_the_end_of_a_converters_range_is_told(bits):
+    """Codes of n bits, clipped as a converter clips them, printed with six digits as files have them."""
+    rng = np.random.default_rng(bits)
+    full = 2 ** (bits - 1)
+    truth = 1.2 * full * np.sin(np.arange(20_000) / 700) + rng.standard_normal(20_000)
+    shown = np.clip(np.round(truth), -full, full - 1)
+    told = saturated(np.array([float(f"{y:.6g}") for y in 0.34375 * shown]))
+    clipped = (truth > full - 0.5) | (truth < -full - 0.5)
+    assert told[clipped].mean() > 0.99 and told[np.abs(truth) < full - 6].sum() == 0
+
+
+def test_a_plateau_inside_the_range_is_not_the_end_of_it():
+    """A motor at its steady speed shows its largest value for long."""
+    time_s = np.arange(4000) * 0.01
+    for steady in (300.0, 301.3, 417.7, 700.0):
+        y = np.round(steady * (1 - np.exp(-time_s)) / 0.25) * 0.25
+        assert not saturated(y).any()

@@ -174,8 +174,11 @@ def log_bayes_factor(score: Score, scatter: float, gain: float | None = None) ->
     """
     gain = (score.gain if gain is None else gain) / scatter
     if score.entry.hypothesis.named:
-        wide = score.information / scatter * CRITERIA.largest**2 + np.eye(len(score.information))
-        return 0.5 * gain - 0.5 * float(np.linalg.slogdet(wide)[1])
+        # Sizes are spread about the typical one as Cauchy's distribution is: as much in every factor of ten on either side,
+        # nearly, so that of two that explain as much the one nearer its typical size is likelier.
+        known = np.linalg.slogdet(score.information / scatter + np.eye(len(score.information)))[1]
+        beyond = 0.5 * (1 + len(score.coefficient)) * np.log1p(score.coefficient @ score.coefficient)
+        return float(0.5 * gain - 0.5 * known - beyond)
     g = SPREAD
     return float(logsumexp(-score.width / 2 * np.log1p(g) + 0.5 * gain * g / (1 + g)) - np.log(len(g)))
 

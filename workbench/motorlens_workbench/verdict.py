@@ -119,6 +119,7 @@ def detectable(found: Finding, score: Score) -> float:
 def limits(found: Finding, times: float) -> list[str]:
     """What the recordings cannot tell, in words; `times` the noise is what the last model leaves."""
     said = [one.sentence for one in found.dead]
+    said += [run.saturation for run in found.runs if run.saturated]
     said += [delay.sentence for delay in delays_of(found.base.fit, found.runs)]
     channels = {channel for run in found.runs for channel in run.channels}
     known = {quantity for run in found.runs for quantity in run.known}

@@ -20,6 +20,8 @@ FEW = 0.5
 ROUNDING = 1e-9
 # The largest lean: from there on the mean no longer rises with the truth.
 MOST = 0.5
+# Steps to the end of the range of the coarsest converter that is told, and how near to a whole number of steps that is.
+COARSEST_RANGE, WHOLE = 256, 0.2
 # Standard deviation of a lean that is computed from the noise; samples in a piece.
 BELIEF, PIECE = 0.1, 50
 
@@ -39,6 +41,32 @@ def quantisation_step(y: Array) -> float:
         return 0.0
     whole = steps / step
     return step if np.max(np.abs(whole - np.round(whole))) < 0.1 else 0.0
+
+
+def saturated(y: Array) -> NDArray[np.bool_]:
+    """(N,) where a channel shows the end of its converter's range: the truth may be anything beyond.
+
+    The range of n bits ends a power of two of steps from zero, or one step less. By chance a channel's own extreme lies
+    there once in a hundred recordings or less, and then costs the samples that show it twice in a row.
+
+    >>> codes = np.round(1400 * np.sin(np.arange(9000) / 400))
+    >>> bool(saturated(0.01 * codes).any()), int(saturated(0.01 * np.minimum(codes, 1024)).sum())
+    (False, 2158)
+    """
+    step = quantisation_step(y)
+    ends = np.zeros(len(y), dtype=bool)
+    if not step:
+        return ends
+    values = np.unique(y[np.isfinite(y)])
+    # Decimals of a file blur the step; the whole range tells it better.
+    step = float((values[-1] - values[0]) / np.round(np.diff(values) / step).sum())
+    for end in values[[0, -1]]:
+        codes = abs(end) / step
+        whole = 2.0 ** np.ceil(np.log2(max(codes - 0.5, 1.0)))
+        if codes > COARSEST_RANGE - 1.5 and min(abs(codes - whole), abs(codes - whole + 1)) < WHOLE:
+            at = y == end
+            ends |= at & (np.append(at[1:], False) | np.insert(at[:-1], 0, False))
+    return ends
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.conditions import Shaft, Terminal
-from motorlens_physics.estimate.converter import Converter, converter_of, leaning, quantisation_step
+from motorlens_physics.estimate.converter import (
+    Converter,
+    converter_of,
+    leaning,
+    quantisation_step,
+    saturated,
+)
 from motorlens_physics.estimate.signals import moving_mean, noise_sd
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording, inputs_of
@@ -72,6 +78,7 @@ class Run:
         turns: whether what goes with the shaft angle is looked for in it, see `prepare_all`.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
         hung: channel -> when it first and last hung, in s; these samples are not valid.
+        saturated: channel -> how many of its samples are at the end of its converter's range; these are not valid.
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
     """
@@ -95,6 +102,7 @@ class Run:
     turns: bool = True
     shaft: Mapping[str, Array] | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    saturated: Mapping[str, int] = field(default_factory=dict)
     late: Mapping[str, int] = field(default_factory=dict)
     noise: "Noise | None" = None
 
@@ -146,6 +154,12 @@ class Run:
         measured[:, c] = _earlier(measured[:, c], samples)
         there[:, c] = _earlier(there[:, c], samples) & _inside(len(there), samples)
         return replace(self, measured=measured, there=there, valid=np.all(there, axis=1), late=late)
+
+    @property
+    def saturation(self) -> str:
+        """Which channels reach the end of their converter's range, for the reader."""
+        told = " and ".join(f"{count} samples of {channel}" for channel, count in self.saturated.items())
+        return f"{self.name}: {told} lie at the end of the converter's range; they were left out."
 
     def leaning(self, truth: Array) -> "Run":
         """With its converters' lean towards their levels improved by what a fit (N, C) leaves."""
@@ -216,10 +230,13 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     ambient = moving_mean(time, ambient, AMBIENT_S)
     every = max(1, -(-rows // ROWS))
     hung: dict[str, tuple[float, float]] = {}
+    ends: dict[str, int] = {}
     for k, channel in enumerate(used):
         y = recording.channels[channel]
-        there, hangs = np.isfinite(y), hanging(y)
-        present[:, k] = there & ~hangs & ~imposed.get(channel, False)
+        there, hangs, beyond = np.isfinite(y), hanging(y), saturated(y)
+        present[:, k] = there & ~hangs & ~beyond & ~imposed.get(channel, False)
+        if beyond.any():
+            ends[channel] = int(beyond.sum())
         if hangs.any():
             first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
             hung[channel] = (first, last)
@@ -255,7 +272,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         recording.name, inputs, used, measured, np.all(present, axis=1), present, quantum, every, start, known, floor, angle,
         input_step=coarse_inputs,
         offset_below=exact, converters=tuple(converter_of(recording.channels[q]) for q in used),
-        shaft=shaft, hung=hung,
+        shaft=shaft, hung=hung, saturated=ends,
     )  # fmt: skip
 
 
