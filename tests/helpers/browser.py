@@ -73,13 +73,55 @@ _OUT_OF_REACH = """() => [...document.querySelectorAll("body *")].filter(node =>
 }).map(node => "may scroll and cannot be reached by keyboard: " + node.outerHTML.slice(0, 200))"""
 
 
+# What Lighthouse asks of a page beside axe and the console: a doctype, a title, a language, a viewport that may be zoomed,
+# targets of 24 px for a finger (WCAG 2.5.8; links in a sentence and what is not shown aside), a name for what is drawn,
+# nothing fetched that is not there, and how much came over the line to show it first.
+_LACKING = """most => {
+  const lacks = [], shown = node => node.checkVisibility({visibilityProperty: true, opacityProperty: true});
+  const say = (bad, text) => bad && lacks.push(text);
+  say(document.compatMode !== "CSS1Compat", "no doctype");
+  say(!document.title.trim(), "no title");
+  say(!document.documentElement.lang, "no language");
+  const viewport = document.querySelector("meta[name=viewport]")?.content ?? "";
+  say(!viewport.includes("width=device-width"), "no viewport of the device's width");
+  say(/user-scalable=no|maximum-scale/.test(viewport), "may not be zoomed");
+  for (const node of document.querySelectorAll("a[href], button, select, input, summary, [role=tab], [role=button]")) {
+    // A label is a target as well as what it labels.
+    const boxes = [node, ...(node.labels ?? [])].map(one => one.getBoundingClientRect());
+    const sides = boxes.map(box => Math.min(box.width, box.height));
+    const within = getComputedStyle(node).display === "inline" && node.matches("a");
+    say(shown(node) && !within && Math.max(...sides) < 24,
+        `a target of ${Math.max(...sides).toFixed(1)} px: ` + node.outerHTML.slice(0, 120));
+  }
+  for (const node of document.querySelectorAll("img, canvas, svg")) {
+    const named = node.hasAttribute("alt") || node.closest("[aria-label], [aria-hidden=true]");
+    const titled = named || node.querySelector(":scope > title");
+    say(shown(node) && !titled, `drawn without a name: ${node.outerHTML.slice(0, 120)}`);
+  }
+  const fetched = performance.getEntriesByType("resource");
+  for (const one of fetched) say(one.responseStatus >= 400, `${one.responseStatus}: ${one.name}`);
+  const first = fetched.filter(one => /script|link|css/.test(one.initiatorType));
+  const all = [...performance.getEntriesByType("navigation"), ...first];
+  const octets = all.reduce((sum, one) => sum + one.encodedBodySize, 0);
+  say(octets > most, `${octets} octets to show it first, of ${most}`);
+  return lacks;
+}"""
+# The page, its style, its scripts and the library that draws; a report holds its data as well.
+MOST_OCTETS = 1_500_000
+
+
 def serious(page) -> list[str]:
-    """What axe finds that is serious or critical, and what may scroll and cannot be reached by keyboard; a line each."""
+    """What axe finds that is serious or critical, what Lighthouse would ask for beside, and what may scroll and cannot be
+    reached by keyboard; a line each."""
     from axe_playwright_python.sync_playwright import Axe
 
     found = Axe().run(page).response["violations"]
-    return page.evaluate(_OUT_OF_REACH) + [
-        f"{one['id']}: {one['help']}: {one['nodes'][0]['html'][:200]}"
-        for one in found
-        if one["impact"] in ("serious", "critical")
-    ]
+    return (
+        page.evaluate(_OUT_OF_REACH)
+        + page.evaluate(_LACKING, MOST_OCTETS)
+        + [
+            f"{one['id']}: {one['help']}: {one['nodes'][0]['html'][:200]}"
+            for one in found
+            if one["impact"] in ("serious", "critical")
+        ]
+    )
