@@ -79,7 +79,7 @@ def test_rows_are_those_of_the_document(bank: Bank) -> None:
     width = len(bank.features)
     specification = Specification(
         (Output("speed", "rad/s", 1.0),), bank, Rate(1000.0, 100.0, 2000.0), 1.0,
-        Envelope((-1.0, 1.0), (-1.0, 1.0), np.zeros(width), np.eye(width), 1.0),
+        Envelope((-1.0, 1.0), (-1.0, 1.0), Cloud(np.zeros(width), np.eye(width), 1.0)),
     )  # fmt: skip
     document = json.loads(json.dumps(specification.document()))
     theirs = by_the_document(document, time, voltage, current)

@@ -18,6 +18,7 @@ import os
 import re
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -34,6 +35,9 @@ from numba.core.typing import Signature
 from motorlens_physics.compile.types import fastmath
 from motorlens_runtime.errors import ModelError
 
+# One thread at a time: Python's parser counts its depth for all threads together and fails where two parse at once (CPython
+# 3.11, issue 106905), and a second thread that wants the same code finds it made.
+_COMPILING = threading.Lock()
 _DOUBLE, _INTEGER = ir.DoubleType(), ir.IntType(64)
 # What the processor has itself, or LLVM knows how to expand.
 _INTRINSICS = {"sqrt": "llvm.sqrt", "fabs": "llvm.fabs", "floor": "llvm.floor"}
@@ -84,15 +88,16 @@ def native(
     )
     name = hashlib.sha256("\n".join((source, *made_by)).encode()).hexdigest()[:24]
     path = folder / f"motorlens_{name}.o"
-    if path.exists():
-        code = path.read_bytes()
-    else:
-        code = target.emit_object(_optimised(_module(source, signatures, target, flags), target))
-        # Written aside and moved into place: another process never reads half a file.
-        handle, aside = tempfile.mkstemp(dir=folder, suffix=".tmp")
-        with os.fdopen(handle, "wb") as file:
-            file.write(code)
-        os.replace(aside, path)
+    with _COMPILING:
+        if path.exists():
+            code = path.read_bytes()
+        else:
+            code = target.emit_object(_optimised(_module(source, signatures, target, flags), target))
+            # Written aside and moved into place: another process never reads half a file.
+            handle, aside = tempfile.mkstemp(dir=folder, suffix=".tmp")
+            with os.fdopen(handle, "wb") as file:
+                file.write(code)
+            os.replace(aside, path)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
