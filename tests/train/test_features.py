@@ -9,6 +9,7 @@ import pytest
 from motorlens_train.features import feature_rows, motor_bank, recording_bank, signal
 from motorlens_train.specification import (
     Bank,
+    Cloud,
     Envelope,
     Feature,
     Filter,
