@@ -125,10 +125,10 @@ def test_four_cores_give_the_bits_of_this_pc(proven):
 @pytest.mark.fit
 @needs_boards
 def test_what_a_core_needs(proven):
-    """Budgets, counted by the emulator, so the same on every machine: with an observer 25 kB and 4 kB; filters and network
+    """Budgets, counted by the emulator, so the same on every machine: with an observer 19 kB and 4 kB; filters and network
     alone 2 kB, and a fifth of the instructions that software double took.
 
-    Weighing whether the motor is the file's (`observer/belief.py`) is 1 kB of the 25, and runs where a value is asked for.
+    Weighing whether the motor is the file's (`observer/belief.py`) is 1 kB of the 19, and runs where a value is asked for.
     """
     name, _, said = proven
     observed = name.endswith("observer")
@@ -137,7 +137,7 @@ def test_what_a_core_needs(proven):
         assert cost.memory + cost.stack <= (4096 if observed else 2048)
         assert cost.update_most >= cost.update > 100 and cost.evaluate > 100
     cost = said["cortex-m4f"][1]
-    assert cost.flash <= (25 if observed else 12) * 1024
+    assert cost.flash <= (19 if observed else 12) * 1024
     assert cost.update <= (32_000 if observed else 2_000)
     assert cost.evaluate <= (90_000 if observed else 12_000)
 

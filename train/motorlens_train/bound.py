@@ -211,16 +211,8 @@ def product(A: Array, B: Array, scale: float = 1.0) -> Array:  # pragma: no cove
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def between(F: Array, P: Array) -> Array:  # pragma: no cover - compiled
     """F P F' of small square matrices."""
-    n = F.shape[0]
-    carried = product(F, P)
-    out = np.empty((n, n))
-    for r in range(n):
-        for c in range(n):
-            total = 0.0
-            for k in range(n):
-                total += carried[r, k] * F[c, k]
-            out[r, c] = total
-    return out
+    back: Array = product(product(F, P), F.T.copy())
+    return back
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

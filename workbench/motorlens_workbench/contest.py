@@ -174,8 +174,9 @@ def log_bayes_factor(score: Score, scatter: float, gain: float | None = None) ->
     """
     gain = (score.gain if gain is None else gain) / scatter
     if score.entry.hypothesis.named:
-        # Sizes are spread about the typical one as Cauchy's distribution is: as much in every factor of ten on either side,
-        # nearly, so that of two that explain as much the one nearer its typical size is likelier.
+        # Sizes are spread as Cauchy's distribution about nought, as wide as the typical size: a factor more is as likely as
+        # the same factor less, and of two that explain as much the one nearer its typical size is likelier. By Laplace's
+        # approximation, without what all names share.
         known = np.linalg.slogdet(score.information / scatter + np.eye(len(score.information)))[1]
         beyond = 0.5 * (1 + len(score.coefficient)) * np.log1p(score.coefficient @ score.coefficient)
         return float(0.5 * gain - 0.5 * known - beyond)

@@ -91,7 +91,7 @@ def estimate(
     point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
     point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, model, runs, runs, prior, progress)
-    point = at(replace(point.model, tolerance=model.tolerance), _seen(point), prior)
+    point = at(replace(point.model, tolerance=model.tolerance), _with_converters_and_shaft(point), prior)
     point, gram, left = minimised(point, prior, progress, outliers=True)
     # Only where it ends does scatter between blocks tell of what is missing; on the way it is the parameters that are wrong.
     tempered = point.tempered()
@@ -104,7 +104,7 @@ def estimate(
     return replace(found, runs=_followed(found.fit.model, found.runs))
 
 
-def _seen(near: Weighed) -> Weighed:
+def _with_converters_and_shaft(near: Weighed) -> Weighed:
     """A point near the best parameters with what shows only there: how its converters lean, and where its shaft stood."""
     turned = any(
         state.kind == "angle" for effect in near.model.file.motor.effects for state in effect.states.values()
