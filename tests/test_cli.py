@@ -109,6 +109,23 @@ subprocess.run([sys.executable, "-c", "import os; print(os.environ.get('OPENBLAS
     assert done.stdout.strip() == then
 
 
+def test_what_nobody_foresaw_is_one_line_that_says_where(capsys, monkeypatch) -> None:
+    from motorlens_runtime.commands import infer
+
+    def broken(arguments):
+        return int("seven")
+
+    monkeypatch.setattr(infer, "run", broken)
+    assert cli.main(["infer", "x.csv", "--sensor", "s", "-o", "-"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert (
+        line.startswith("motorlens infer: a mistake of motorlens") and "ValueError: invalid literal" in line
+    )
+    monkeypatch.setenv("MOTORLENS_TRACEBACK", "1")
+    with pytest.raises(ValueError, match="seven"):
+        cli.main(["infer", "x.csv", "--sensor", "s", "-o", "-"])
+
+
 def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     (tmp_path / "sympy.py").write_text(
         "raise ModuleNotFoundError(\"No module named 'sympy'\", name='sympy')\n"

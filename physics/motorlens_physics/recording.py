@@ -21,21 +21,23 @@ from motorlens_physics.reading.suspicion import gaps_and_channels, no_value
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import (
-    QUANTITIES,
     Column,
-    candidates,
     canonical_name,
+    in_seconds,
     parse_mapping,
     require,
     understand,
 )
 from motorlens_runtime.files.guesses import refuse_counts
+from motorlens_runtime.files.headings import QUANTITIES, candidates
 from motorlens_runtime.files.words import WORDS
 
 Array = NDArray[np.float64]
 
 # Up to this share of rows with a backward stamp or a missing input is repaired, in files long enough to spare them.
 REPAIRABLE_SHARE = 0.005
+# No voltage, current, speed, temperature or torque of a motor is larger, in SI; smaller numbers can be computed with.
+BEYOND = 1e12
 # What drives a motor must be known at every sample.
 INPUTS = ("voltage", "load_torque", "ambient")
 
@@ -110,6 +112,8 @@ def read_recording(
     require(columns, ("time", "voltage"), table.headings, where)
     used = sorted({index for column in columns.values() for index in column.uses})
     numbers = table.numbers(used)
+    if columns["time"].index in table.dated and not columns["time"].formula:
+        columns["time"] = in_seconds(columns["time"])
     channels = {quantity: column.values(numbers.__getitem__) for quantity, column in columns.items()}
     if len(channels["time"]) < 2:
         raise DataError(f"{path}: {len(channels['time'])} rows of data; a recording needs at least two")
@@ -215,7 +219,7 @@ class _Reader:
 
     def recording(self, table: dict[str, Array], no_values: Iterable[float] | None) -> Recording:
         """The checked recording."""
-        table = self._without_words(table, no_values)
+        table = self._without_words(self._in_reach(table), no_values)
         table = self._in_time(table)
         table = self._complete(table)
         if "speed" not in table and "angle" in table:
@@ -230,6 +234,21 @@ class _Reader:
 
     def _row(self, index: int) -> int:
         return index + self.first_row
+
+    def _in_reach(self, table: dict[str, Array]) -> dict[str, Array]:
+        """Numbers beyond all that is measured at a motor become NaN: they could not even be squared."""
+        checked = dict(table)
+        for quantity, y in table.items():
+            beyond = np.abs(y) > BEYOND
+            if quantity != "time" and beyond.any():
+                checked[quantity] = np.where(beyond, np.nan, y)
+                finite = beyond & np.isfinite(y)
+                if finite.any():
+                    self.notes.append(
+                        f"{int(finite.sum())} values of {quantity} are beyond all that is measured (first: row "
+                        f"{self._row(int(np.argmax(finite)))}, {y[finite][0]:g}); left out"
+                    )
+        return checked
 
     def _without_words(self, table: dict[str, Array], no_values: Iterable[float] | None) -> dict[str, Array]:
         """Numbers that mean "no value" become NaN."""

@@ -13,6 +13,7 @@ import importlib.util
 import json
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -58,6 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(parsed.command, f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
         return _fail(parsed.command, "interrupted", status=130)
+    except MemoryError:
+        return _fail(parsed.command, "this needs more memory than there is; try a shorter recording")
+    except Exception as error:
+        if os.environ.get("MOTORLENS_TRACEBACK"):
+            raise
+        return _fail(parsed.command, _mistake(error))
 
 
 def _modules(chosen: str | None) -> dict[str, str]:
@@ -124,6 +131,22 @@ def _parser(modules: dict[str, str], chosen: str | None) -> argparse.ArgumentPar
 def _documentation(module: ModuleType) -> tuple[str, str]:
     summary, _, rest = (module.__doc__ or "").strip().partition("\n")
     return summary, rest.strip()
+
+
+def _mistake(error: Exception) -> str:
+    """One line on an error that nobody foresaw: what, and where in our code."""
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [
+        frame
+        for frame in frames
+        if "motorlens" in Path(frame.filename).name or "motorlens_" in frame.filename
+    ]
+    at = ours[-1] if ours else frames[-1]
+    what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+    return (
+        f"a mistake of motorlens, not yours: {what} (in {Path(at.filename).name}, line {at.lineno}); please report it, with "
+        "what MOTORLENS_TRACEBACK=1 shows beside it"
+    )
 
 
 def _fail(command: str, message: str, status: int = 1) -> int:

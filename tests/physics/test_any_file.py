@@ -1,7 +1,9 @@
 """One run in the many ways people write it: read as the plain file is, or refused with what to do about it."""
 
+import gc
 import gzip
 from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,8 @@ from helpers.recordings import FOLDER, needs_recordings
 from motorlens_physics.reading.clock import steady
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.csv_stream import CsvStream
+from motorlens_runtime.files.parquet_stream import ParquetStream
 
 N = 400
 TIME = 0.001 * np.arange(1, N + 1)
@@ -70,6 +74,24 @@ WRITTEN: dict[str, str | bytes] = {
     "zipped": gzip.compress(PLAIN.encode()),
     "other units": text((1e6 * TIME, 1e3 * VOLTAGE, 1e3 * CURRENT, SPEED * 30 / np.pi),
                         ("t_us", "voltage_mV", "current_mA", "n_rpm"), cell="{:.12g}".format),
+    "name and unit by a stroke": text(names=("t/s", "U / V", "I/A", "n/(rad/s)")),
+    "name and unit by a comma": text((1e3 * TIME, VOLTAGE, CURRENT, SPEED * 30 / np.pi),
+                                     ("Time, ms", "Motor Voltage, V", "Current, Amps", "Speed, rpm"), ";", "{:.12g}".format),
+    "name in unit": text(names=("Zeit t in s", "Spannung U in V", "Strom I in A", "Drehzahl n in rad/s")),
+    "units written out": text(names=("Time (sec)", "Voltage (Volts)", "Current (amps)", "Motor Speed (rad/sec)")),
+    "capitals": text(names=[name.upper() for name in NAMES]),
+    "Chinese": text(names=("时间(s)", "电压(V)", "电流(A)", "转速(rad/s)")),
+    "French": text(names=("Temps (s)", "Tension (V)", "Courant (A)", "Vitesse (rad/s)"), mark=";", cell=comma),
+    "bars": text(mark="|"),
+    "a spreadsheet's separator": "sep=;\n" + text(mark=";"),
+    "minus signs of a typesetter": PLAIN.replace("-", "\u2212"),
+    "groups of three, German": text((TIME, 1e3 * VOLTAGE, 1e3 * CURRENT, 1e3 * SPEED),
+                                    ("time_s", "voltage_mV", "current_mA", "speed_mrad/s"), ";",
+                                    lambda x: f"{x:,.4f}".replace(",", "'").replace(".", ",").replace("'", ".")),
+    "groups of three by narrow blanks": text((TIME, 1e3 * VOLTAGE, 1e3 * CURRENT, 1e3 * SPEED),
+                                             ("time_s", "voltage_mV", "current_mA", "speed_mrad/s"), ";",
+                                             lambda x: f"{x:,.4f}".replace(",", "\u202f")),
+    "UTF-32": PLAIN.encode("utf-32"),
     "exponents": text(cell="{:.7e}".format),
     "a line cut off": PLAIN + "0.401,3.2",
 }  # fmt: skip
@@ -94,10 +116,52 @@ def test_words_for_nothing_are_missing_values(tmp_path, word):
     assert any("2 missing values of speed left out" in note for note in recording.notes)
 
 
-def test_iso_dates_are_seconds_since_the_first(tmp_path):
-    lines = [f"2026-11-23T10:00:{t:09.6f},{v:g}" for t, v in zip(TIME, VOLTAGE, strict=True)]
-    recording = read(tmp_path, "time_s,voltage_V\n" + "\n".join(lines))
-    np.testing.assert_allclose(recording.time_s, TIME - TIME[0], atol=1e-6)
+@pytest.mark.parametrize(
+    "form",
+    ["%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%fZ", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %I:%M:%S.%f %p", "%H:%M:%S.%f",
+     "%Y/%m/%d %H:%M:%S.%f"],
+)  # fmt: skip
+def test_dates_and_times_of_day_are_seconds_since_the_first_also_over_midnight(tmp_path, form):
+    begin = datetime(2026, 11, 23, 23, 59, 59, 800_000)
+    stamps = [(begin + timedelta(milliseconds=k)).strftime(form) for k in range(N)]
+    rows = zip(stamps, VOLTAGE, CURRENT, strict=True)
+    # Whatever unit the heading names: what stands in the cells is a moment.
+    content = "time [ms];voltage_V;current_A\n" + "\n".join(f"{t};{v:g};{i:g}" for t, v, i in rows)
+    np.testing.assert_allclose(read(tmp_path, content).time_s, TIME - TIME[0], atol=1e-6)
+    stream = CsvStream(tmp_path / "rec.csv", {})
+    np.testing.assert_allclose(
+        np.concatenate([b.samples.time_ns for b in stream]) * 1e-9, TIME - TIME[0], atol=1e-6
+    )
+    stream.close()
+
+
+def test_moments_in_parquet_are_seconds_since_the_first(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    begin = datetime(2026, 11, 23, 23, 59, 59, 800_000)
+    stamps = pa.array([begin + timedelta(milliseconds=k) for k in range(N)], type=pa.timestamp("us"))
+    table = pa.table({"timestamp": stamps, "voltage_V": VOLTAGE, "current_A": CURRENT})
+    parquet.write_table(table, tmp_path / "rec.parquet")
+    np.testing.assert_allclose(read_recording(tmp_path / "rec.parquet").time_s, TIME - TIME[0], atol=1e-6)
+    stream = ParquetStream(tmp_path / "rec.parquet", {})
+    np.testing.assert_allclose(
+        np.concatenate([b.samples.time_ns for b in stream]) * 1e-9, TIME - TIME[0], atol=1e-6
+    )
+    stream.close()
+
+
+def test_a_comma_that_may_be_decimal_is_no_group(tmp_path):
+    """1,245 among cells with points may be a thousand or one and a quarter: refused, not guessed."""
+    with pytest.raises(DataError, match="'1,245' is not a number"):
+        read(tmp_path, text(mark=";").replace(";3.25;", ";1,245;", 1))
+
+
+def test_numbers_beyond_all_that_is_measured_are_left_out(tmp_path):
+    current = CURRENT.copy()
+    current[[40, 41]] = 1e300, -1e13
+    recording = read(tmp_path, text((TIME, VOLTAGE, current, SPEED)))
+    assert np.flatnonzero(np.isnan(recording.channels["current"])).tolist() == [40, 41]
+    assert any("2 values of current are beyond" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize("jitter_s", [0.0002, 0.0006])
@@ -183,6 +247,10 @@ REFUSED = {
     "a clock that was started anew": (text((np.r_[TIME[:200], TIME[:200]], VOLTAGE), NAMES[:2]), "split the file"),
     "half of an input": (text((TIME, np.where(np.arange(N) % 3, np.nan, VOLTAGE)), NAMES[:2]), "fill the column"),
     "binary": (bytes(range(256)) * 4, "not a text file"),
+    "a spreadsheet": (b"PK\x03\x04" + bytes(200), "save it as CSV"),
+    "many zeros": (bytes(3000) + b"voltage", "not a text file"),
+    "a row of other bytes": (PLAIN.encode().replace(b"\n0.1,", b"\n\xff\xfe\x80"), "is not a number"),
+    "duty without a supply": (text((TIME, 50 + 0 * TIME), ("time_s", "duty_pct")), "--column 'voltage=duty_pct*24[V]'"),
     "nothing": ("", "empty"),
 }  # fmt: skip
 
@@ -224,6 +292,20 @@ def test_spoilt_bytes_are_read_or_refused_in_one_line(tmp_path):
             read(tmp_path, bytes(data))
         except DataError as error:
             assert "\n" not in str(error)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_damaged_mdf_file_is_one_line(tmp_path):
+    pytest.importorskip("asammdf")
+    (tmp_path / "rec.mf4").write_bytes(b"MDF     4.10" + bytes(range(200, 256)) * 5)
+    with pytest.raises(DataError, match="not an MDF file"):
+        read_recording(tmp_path / "rec.mf4")
+    gc.collect()
+
+
+def test_temperatures_of_no_winding_are_suspected(tmp_path):
+    content = text((TIME, VOLTAGE, CURRENT, 1800 + TIME), (*NAMES[:3], "temperature"))
+    assert any("counts of a converter" in note for note in read(tmp_path, content).notes)
 
 
 def test_columns_that_were_not_used_are_listed_and_what_they_may_be(tmp_path):

@@ -25,6 +25,22 @@ def test_units_of_test_stands(heading, quantity, value):
     assert understand([heading], {}, "f")[quantity].factor == pytest.approx(value, rel=1e-15)
 
 
+@pytest.mark.parametrize(
+    "heading",
+    ["current_limit_A", "Phase A", "speed_ref", "speed_sd_rad_s", "temperature_rise_K", "min", "Hz", "A", "Current B",
+     "counts/s", "field.voltage", "tempo", "par"],
+)  # fmt: skip
+def test_what_only_resembles_a_quantity_is_none(heading):
+    assert understand([heading], {}, "f") == {}
+
+
+def test_of_two_columns_the_one_named_as_usual_is_taken():
+    for headings in (["current_A", "I/A"], ["I/A", "current_A"]):
+        assert understand(headings, {}, "f")["current"].heading == "current_A"
+    with pytest.raises(DataError, match="both look like current"):
+        understand(["I/A", "Current, A"], {}, "f")
+
+
 def test_an_unknown_unit_is_said():
     with pytest.raises(DataError, match="f: column 'speed_mph': unknown unit 'mph' for speed; known: rad/s"):
         understand(["speed_mph"], {}, "f")

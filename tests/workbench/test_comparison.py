@@ -217,6 +217,25 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main([*arguments[:2], "--motor", str(tmp_path / "none.toml")]) == 1
 
 
+def test_a_motor_at_rest_is_followed_and_has_a_page() -> None:
+    """Nothing moves and nothing is noisy: no division by what is not there."""
+    time = np.arange(0, 2, 0.01)
+    rest = {
+        "voltage": 0 * time,
+        "current": 0 * time,
+        "speed": 0 * time,
+        "temperature": 20 + 0 * time,
+        "ambient": 20 + 0 * time,
+    }
+    found = compare(SERVO, [Recording("rest", time, rest)])
+    assert found.follows and all(channel.rmse < 1e-9 for channel in found.channels.values())
+    assert "</html>" in "".join(to_html(found, ["rest.csv"], "servo.toml", "motorlens compare"))
+    stuck = rest | {"voltage": 5 + 0 * time, "current": 1 + 0 * time, "speed": 3 + 0 * time}
+    found = compare(SERVO, [Recording("stuck", time, stuck)])
+    assert found.channels["speed"].times_noise > 10
+    assert "</html>" in "".join(to_html(found, ["stuck.csv"], "servo.toml", "motorlens compare"))
+
+
 @needs_recordings
 def test_real_recordings_are_compared() -> None:
     robot = read_recording(regbot(1), REGBOT_LEFT)

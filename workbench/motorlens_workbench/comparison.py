@@ -36,6 +36,8 @@ STANDSTILL = 0.02
 # Error over noise floor up to which a model follows to the noise: less than half of what is seen is then missing physics,
 # and the floor's own error is far smaller (`benchmarks/floors.py`).
 FOLLOWS = 1.2
+# No channel is measured to so little (A, rad/s, K): the least noise by which an error is divided.
+NOISELESS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class Overlay(FreeRun):
 
     @property
     def noise(self) -> Array:
-        """(C,) the floor, in the order of `run.channels`."""
-        return self.floor
+        """(C,) the floor, in the order of `run.channels`; a channel at rest has none, and is given `NOISELESS`."""
+        return np.maximum(self.floor, NOISELESS)
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Channel:
     @property
     def times_noise(self) -> float:
         """The error in units of the floor."""
-        return self.rmse / max(self.noise_floor, 1e-300)
+        return self.rmse / max(self.noise_floor, NOISELESS)
 
 
 @dataclass(frozen=True)
@@ -307,7 +309,7 @@ def _pooled(overlays: Sequence[Overlay], channel: str) -> Array:
 def _map(overlays: Sequence[Overlay]) -> tuple[Region, ...]:
     error = np.concatenate([_in_sigma(o)[o.run.valid] for o in overlays])
     speed, current = _pooled(overlays, "speed"), _pooled(overlays, "current")
-    edges = [np.linspace(float(y.min()), float(y.max()), CELLS + 1) for y in (speed, current)]
+    edges = [_edges(speed), _edges(current)]
     at = [
         np.clip(np.searchsorted(e, y, side="right") - 1, 0, CELLS - 1)
         for e, y in zip(edges, (speed, current), strict=True)
@@ -320,6 +322,13 @@ def _map(overlays: Sequence[Overlay]) -> tuple[Region, ...]:
                 within = {"speed": _span(edges[0], row), "current": _span(edges[1], column)}
                 found.append(_region(within, error[inside]))
     return tuple(found)
+
+
+def _edges(y: Array) -> Array:
+    """(CELLS + 1,) increasing over all of `y`, also where that never changes."""
+    low, high = float(y.min()), float(y.max())
+    margin = 0.0 if high > low else 0.5 * max(abs(low), 1.0)
+    return np.linspace(low - margin, high + margin, CELLS + 1)
 
 
 def _span(edges: Array, k: int) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
@@ -26,6 +26,7 @@ class Table:
         first_row: the line of the first numbers, from 1, for messages.
         notes: what was found and handled, in words; complete once `numbers` was called.
         named: whether the headings stand in the file.
+        dated: columns whose cells are dates or times of day, given as seconds since the first; complete with `notes`.
     """
 
     headings: tuple[str, ...]
@@ -33,6 +34,7 @@ class Table:
     first_row: int
     notes: list[str]
     named: bool = True
+    dated: set[int] = field(default_factory=set)
 
 
 def read_table(path: Path) -> Table:

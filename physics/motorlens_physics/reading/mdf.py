@@ -1,7 +1,10 @@
 """Recordings as MDF 3 and 4, what measurement systems of vehicles write: every numeric channel by its name and unit."""
 
+import gc
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +21,7 @@ def read(path: Path) -> Table:
     Channels may be sampled apart. The instants are those of the fastest one asked for; a sample of a slower one stands at
     the instant next to it, and the others are missing.
     """
-    import asammdf
-
-    try:
-        file = asammdf.MDF(path)
-    except Exception as error:  # asammdf raises what its parser meets
-        raise DataError(f"{path}: not an MDF file ({error})") from None
+    file = _opened(path)
     places: dict[str, tuple[int, int]] = {}
     for group, content in enumerate(file.groups):
         master = file.masters_db.get(group)
@@ -51,6 +49,21 @@ def read(path: Path) -> Table:
         return table
 
     return Table(headings, numbers, 1, [])
+
+
+def _opened(path: Path) -> Any:
+    import asammdf
+
+    # What asammdf leaves of a damaged file complains on its way out.
+    hook, sys.unraisablehook = sys.unraisablehook, lambda complaint: None
+    try:
+        return asammdf.MDF(path)
+    except Exception as error:  # asammdf raises what its parser meets
+        why = " ".join(str(error).split())[:200]
+    finally:
+        gc.collect()
+        sys.unraisablehook = hook
+    raise DataError(f"{path}: not an MDF file ({why})")
 
 
 def _beside(time: Array, own: Array, samples: Array) -> Array:

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 _TIMES, _LONGEST, _FAR = 3, 10, 5.0
 # So much of the voltage is explained by current and speed where their signs can be judged, and so many deviations.
 _EXPLAINED, _SURE = 0.5, 5.0
+# A winding is no colder, and its insulation no longer one.
+COLDEST_C, HOTTEST_C = -100.0, 400.0
 # So many rows show a sign.
 _ROWS = 50_000
 
@@ -70,6 +72,11 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
         y = channels.get(quantity)
         if y is None:
             continue
+        if quantity == "temperature" and (np.nanmin(y) < COLDEST_C or np.nanmax(y) > HOTTEST_C):
+            notes.append(
+                f"temperature runs from {np.nanmin(y):.4g} to {np.nanmax(y):.4g} degC: counts of a converter, or another "
+                "unit?"
+            )
         if np.nanmin(y) == np.nanmax(y):
             notes.append(f"{quantity} never changes ({np.nanmin(y) + 0.0:g}): a dead channel?")
             continue

@@ -1,11 +1,11 @@
 """Recordings as text: CSV and its relatives, zipped or not; see `motorlens_runtime.files.layout` for what is understood."""
 
+import codecs
 import gzip
 import io
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,6 +14,7 @@ import numpy as np
 from motorlens_physics.reading import Array, Table
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.layout import HEAD_BYTES, MISSING, Layout, is_comment, layout_of, number, split
+from motorlens_runtime.files.moments import Moments
 from motorlens_runtime.files.words import WORDS
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
@@ -50,6 +51,17 @@ class _Body:
             file.seek(max(begin, size - HEAD_BYTES))
             return file.read()
 
+    def is_utf8(self) -> bool:
+        """Whether it is all UTF-8: Arrow cannot tell us of a row that is not."""
+        decoder = codecs.getincrementaldecoder("utf-8")()
+        try:
+            with self.opened() as file:
+                for piece in iter(lambda: file.read(1 << 20), b""):
+                    decoder.decode(piece)
+        except UnicodeDecodeError:
+            return False
+        return True
+
     def is_empty(self) -> bool:
         """Whether nothing but blanks is in it."""
         with self.opened() as file:
@@ -83,14 +95,15 @@ def read(path: Path) -> Table:
     if blanks and body.anew is not None:
         body = replace(body, anew=layout.plain(body.anew))
     notes: list[str] = []
+    dated: set[int] = set()
 
     def numbers(used: Sequence[int]) -> Mapping[int, Array]:
         if body.is_empty():
             raise DataError(f"{path}: 0 rows of data; a recording needs at least two")
         fast = _by_arrow(body, layout, used, notes)
-        return fast if fast is not None else _by_cell(body.whole(), layout, used, path, notes)
+        return fast if fast is not None else _by_cell(body.whole(), layout, used, path, notes, dated)
 
-    return Table(layout.headings, numbers, layout.first_row, notes, layout.named)
+    return Table(layout.headings, numbers, layout.first_row, notes, layout.named, dated)
 
 
 def _by_arrow(
@@ -110,6 +123,8 @@ def _by_arrow(
         short.append(row)
         return "skip"
 
+    if not body.is_utf8():
+        return None
     parts: dict[int, list[Array]] = {k: [] for k in used}
     try:
         with (
@@ -145,12 +160,12 @@ def _by_arrow(
 
 
 def _by_cell(
-    body: bytes, layout: Layout, used: Sequence[int], path: Path, notes: list[str]
+    body: bytes, layout: Layout, used: Sequence[int], path: Path, notes: list[str], dated: set[int]
 ) -> Mapping[int, Array]:
     """Line by line: slower, and says exactly which cell is at fault. A date and time becomes seconds since the first."""
     table: dict[int, list[float]] = {k: [] for k in used}
     lines = body.decode("utf-8", errors="replace").splitlines()
-    origin: dict[int, datetime] = {}
+    clocks = {k: Moments() for k in used}
     comments = 0
     while lines and not lines[-1].strip():
         lines.pop()
@@ -171,7 +186,9 @@ def _by_cell(
             if value is None:
                 value = _CODES.get(cell.strip().lower())
             if value is None:
-                value = _seconds(cell, k, origin)
+                value = clocks[k].seconds(cell)
+                if value is not None:
+                    dated.add(k)
             if value is None:
                 raise DataError(
                     f"{path}: row {row}, column {layout.headings[k]!r}: {cell[:40]!r} is not a number; "
@@ -185,14 +202,3 @@ def _by_cell(
 def _left_out(comments: int, cut: bool) -> list[str]:
     said = [f"{comments} comment lines between the numbers left out"] if comments else []
     return said + (["the last line is cut short and was left out"] if cut else [])
-
-
-def _seconds(cell: str, column: int, origin: dict[int, datetime]) -> float | None:
-    try:
-        moment = datetime.fromisoformat(cell)
-    except ValueError:
-        return None
-    try:
-        return (moment - origin.setdefault(column, moment)).total_seconds()
-    except TypeError:  # one with a time zone, one without
-        return None

@@ -1,7 +1,6 @@
-"""Headings and units: which physical quantity a column holds, and how it becomes SI.
+"""Columns: which one holds a physical quantity, by its heading or by the user's choice, and how it becomes SI.
 
-The canonical heading is `quantity_unit` (`speed_rad_s`). Any other unit of the same dimension is converted
-(`speed_rpm`), and the headings that test stands write are understood (`Motor Optical Speed (RPM)`, `Drehzahl [1/min]`).
+Any unit of the quantity's dimension is converted; how headings are understood says `headings`.
 Temperatures stay in degrees Celsius, as every test bench writes them; everything else is SI.
 """
 
@@ -16,28 +15,18 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.formula import Cells, Formula, is_formula, parse_formula
+from motorlens_runtime.files.headings import (
+    QUANTITIES,
+    candidates,
+    conversion,
+    is_canonical,
+    recognise,
+    unit_in,
+    unit_text,
+)
 from motorlens_runtime.files.units import BASES, Unit, in_heading, name_of
 from motorlens_runtime.files.words import WORDS
 
-# quantity -> (canonical unit, the words a heading may use for it, in lower case without blanks)
-QUANTITIES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "time": ("s", ("time", "t", "timestamp", "zeit", "zeitstempel")),
-    "voltage": ("V", ("voltage", "v", "u", "armaturevoltage", "terminalvoltage", "motorvoltage", "spannung",
-                      "ankerspannung", "motorspannung", "tension")),
-    "current": ("A", ("current", "i", "armaturecurrent", "motorcurrent", "strom", "ankerstrom", "motorstrom", "courant")),
-    "speed": ("rad_s", ("speed", "w", "omega", "n", "motorspeed", "motoropticalspeed", "rotorspeed", "velocity",
-                        "angularvelocity", "drehzahl", "motordrehzahl", "winkelgeschwindigkeit", "vitesse")),
-    "temperature": ("C", ("temperature", "windingtemperature", "motortemp", "coiltemperature", "temperatur",
-                          "wicklungstemperatur")),
-    "load_torque": ("Nm", ("loadtorque", "torque", "shafttorque", "drehmoment", "lastmoment", "couple")),
-    "ambient": ("C", ("ambient", "ambienttemperature", "umgebungstemperatur")),
-    "angle": ("rad", ("angle", "shaftangle", "position", "winkel", "drehwinkel")),
-    "resistance": ("ohm", ("resistance", "armatureresistance", "widerstand")),
-    "terminal": ("", ("terminal", "terminals")),
-    "shaft": ("", ("shaft",)),
-}  # fmt: skip
-# Words that are a quantity only with its unit beside them: alone they are as often something else.
-_NEED_A_UNIT = frozenset(("u", "n", "velocity", "tension", "couple"))
 # The first spellings to offer for a canonical unit.
 _OFFERED = {
     "s": "s, ms, us, min, h", "V": "V, mV, kV", "A": "A, mA", "rad_s": "rad/s, rpm, deg/s, rev/s, Hz",
@@ -57,11 +46,6 @@ _TIES = {
 }
 _DUTY = re.compile(r"duty|pwm|tastgrad", re.IGNORECASE)
 _SUPPLY = re.compile(r"bat|supply|bus|vdc|dc.?link|versorgung", re.IGNORECASE)
-
-# Words that make another quantity of a name, as `sd` and `rise` do in what `infer` writes.
-_BRACKETED = re.compile(r"(.+?)\s*[(\[]\s*([^)\]]+?)\s*[)\]]")
-_REVOLUTION = tuple({"rad": 1, "cycle": -1}.get(base, 0) for base in BASES)
-_OTHER_WORDS = frozenset(("ref", "raw", "cmd", "set", "max", "min", "sd", "rise"))
 
 
 Array = NDArray[np.float64]
@@ -100,6 +84,11 @@ class Column:
         return numbers * self.factor + self.offset
 
 
+def in_seconds(time: Column) -> Column:
+    """A column of time whose cells are dates, given as seconds: its heading's unit says nothing."""
+    return replace(time, factor=1.0, offset=0.0, assumed=False)
+
+
 def units_offered(quantity: str) -> tuple[str, ...]:
     """Spellings of units that a quantity is often recorded in, the canonical one first; none for a word.
 
@@ -131,7 +120,7 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
     Raises:
         DataError: a mapped column is absent, a unit is unknown or not the quantity's, or two columns claim one quantity.
     """
-    cleaned = [heading.strip().lstrip("\ufeff").strip('"') for heading in headings]
+    cleaned = [heading.strip().lstrip("\ufeff").strip("\"'") for heading in headings]
     found: dict[str, Column] = {}
     for key, choice in mapping.items():
         quantity, unit = _mapped_quantity(key)
@@ -148,10 +137,15 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
             raise DataError(f"{where}: no column {choice!r} for {quantity}{hint}")
         found[quantity] = _chosen(cleaned.index(choice), choice, quantity, unit, where)
     for index, heading in enumerate(cleaned):
-        recognised = _recognise(heading)
+        recognised = recognise(heading)
         if recognised is None or recognised[0] in {_mapped_quantity(key)[0] for key in mapping}:
             continue
         quantity, unit = recognised
+        if quantity in found and is_canonical(found[quantity].heading) != is_canonical(heading):
+            # Of two the one that is named as usual.
+            if is_canonical(heading):
+                found[quantity] = _column(index, heading, quantity, unit, where)
+            continue
         if quantity in found:
             raise DataError(
                 f"{where}: columns {found[quantity].heading!r} and {heading!r} both look like {quantity}; "
@@ -174,6 +168,9 @@ def require(
                 cure = f"it may be {' or '.join(like)}: --column {shlex.quote(f'{quantity}={like[0]}')}"
             duty = next((h for h in headings if _DUTY.search(h)), None)
             supply = next((h for h in headings if _SUPPLY.search(h)), None)
+            if quantity == "voltage" and duty and not (supply or like):
+                share = f"{duty}*24[V]" if unit_in(duty) else f"{duty}/255*24[V]"
+                cure = f"duty times supply, if that is 24 V, is --column 'voltage={share}'; add --voltage-commanded"
             if quantity == "voltage" and duty and supply:
                 share = f"{duty}*{supply}/100" if unit_in(duty) else f"{duty}/255*{supply}"
                 full = "" if unit_in(duty) else ", if 255 is full duty"
@@ -181,12 +178,6 @@ def require(
             raise DataError(
                 f"{where}: no {quantity} column ({canonical_name(quantity)}); it has {', '.join(headings)}; {cure}"
             )
-
-
-def candidates(quantity: str, headings: Sequence[str]) -> list[str]:
-    """The headings whose unit is one of the quantity's."""
-    unit = QUANTITIES[quantity][0]
-    return [h for h in headings if (text := unit_text(h)) and conversion(unit, text) is not None]
 
 
 def parse_mapping(arguments: Sequence[str]) -> dict[str, str]:
@@ -215,76 +206,6 @@ def _mapped_quantity(key: str) -> tuple[str, str | None]:
     raise DataError(
         f"unknown quantity {key!r}; {f'did you mean {near[0]!r}?' if near else 'known: ' + ', '.join(QUANTITIES)}"
     )
-
-
-def _recognise(heading: str) -> tuple[str, str] | None:
-    """Quantity and unit of a heading such as `speed_rpm`, `Voltage (V)` or `v[V]`; None if it is neither.
-
-    The unit is empty where the heading is the bare word.
-    """
-    bracketed = _BRACKETED.fullmatch(heading)
-    if bracketed:
-        words = re.sub(r"[\s_]", "", bracketed[1]).lower()
-        for quantity, (unit, names) in QUANTITIES.items():
-            if words in names:
-                other = in_heading(bracketed[2])
-                return None if other and conversion(unit, bracketed[2]) is None else (quantity, bracketed[2])
-        return None
-    for quantity, (unit, names) in QUANTITIES.items():
-        words = re.sub(r"[\s_]", "", heading).lower()
-        if words in (quantity.replace("_", ""), *names) and words not in _NEED_A_UNIT:
-            return quantity, ""
-        for name in (quantity, *names):
-            if heading.lower().startswith(name + "_"):
-                suffix = heading[len(name) + 1 :]
-                # A longer word (`current_limit_A`) is another quantity, and `speed_reference` no unit; `speed_m_s` is a
-                # speed, but none of a shaft.
-                if conversion(unit, suffix) is not None or (
-                    name == quantity and _unitlike(suffix) and in_heading(suffix) is None
-                ):
-                    return quantity, suffix
-    return None
-
-
-def _unitlike(suffix: str) -> bool:
-    """Whether a suffix reads as a unit rather than as another word of the name (`speed_ref`, `speed_sd_rad_s`)."""
-    pieces = suffix.lower().split("_")
-    return all(len(piece) <= 4 for piece in pieces) and pieces[0] not in _OTHER_WORDS
-
-
-def unit_text(heading: str) -> str | None:
-    """The unit written in a heading, in brackets or after `_`, if one is there.
-
-    A single small letter is none: `i_m` is the motor's current and `u_s` a supply, not metres and seconds.
-    """
-    bracketed = _BRACKETED.fullmatch(heading)
-    if bracketed:
-        return bracketed[2]
-    pieces = heading.split("_")
-    for start in range(1, len(pieces)):
-        suffix = "_".join(pieces[start:])
-        if in_heading(suffix) is not None and not re.fullmatch("[a-z1]", suffix):
-            return suffix
-    return None
-
-
-def unit_in(heading: str) -> Unit | None:
-    """The unit written in a heading; None if there is none, or none that is known."""
-    text = unit_text(heading)
-    return None if text is None else in_heading(text)
-
-
-def conversion(canonical: str, text: str) -> tuple[float, float] | None:
-    """Factor and offset from a spelling to a canonical unit; None if it is of another dimension. A cycle is a turn."""
-    unit, target = in_heading(text), in_heading(canonical) if canonical else None
-    if unit is None or target is None:
-        return None
-    if unit.dimension != target.dimension:
-        cycles = unit.dimension[BASES.index("cycle")]
-        unit = unit * Unit(2 * np.pi, _REVOLUTION) ** cycles
-        if not cycles or unit.dimension != target.dimension:
-            return None
-    return unit.factor, unit.offset
 
 
 def _chosen(index: int, heading: str, quantity: str, unit: str | None, where: str) -> Column:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.decimal_text import read
 from motorlens_runtime.files.layout import HEAD_BYTES, is_comment, layout_of, number
+from motorlens_runtime.files.moments import Moments
 from motorlens_runtime.files.recorded import Block, Reading
 
 Array = NDArray[np.float64]
@@ -79,7 +80,7 @@ class CsvStream:
         self._separator = layout.separator.encode()
         self.headings = list(layout.headings)
         self._reading = Reading(self.name, self.headings, mapping, ambient_C)
-        self._used = self._reading.used
+        self._used, self._clock = self._reading.used, Moments()
 
     def __iter__(self) -> Iterator[Block]:
         """All blocks, in order. Raises DataError where a cell is no number or time runs backwards."""
@@ -112,10 +113,10 @@ class CsvStream:
     def _block(self, text: bytes) -> Iterator[Block]:
         if b"\r" in text:
             text = text.replace(b"\r\n", b"\n")
-        text = self._layout.plain(text)
-        table = _by_arrow(text, len(self.headings), self._used, self._separator) if self._large else None
+        plain = self._layout.plain(text)
+        table = _by_arrow(plain, len(self.headings), self._used, self._separator) if self._large else None
         if table is None:
-            table = _fast(text, len(self.headings), self._separator)
+            table = _fast(plain, len(self.headings), self._separator)
         rows = None
         if table is None:
             table, rows = self._careful(text)
@@ -140,14 +141,18 @@ class CsvStream:
                     f"{self.name}: row {row}: {len(cells)} cells where the heading has {len(self.headings)}; "
                     "complete or remove the row"
                 )
-            values.append([self._number(cells[index], names[index], row) for index in used])
+            values.append([self._number(cells[index], index, names[index], row) for index in used])
             rows.append(row)
         table = np.full((len(values), len(self.headings)), np.nan)
         table[:, used] = np.array(values).reshape(len(values), len(used))
         return table, np.array(rows, dtype=np.int64)
 
-    def _number(self, cell: str, heading: str, row: int) -> float:
-        value = number(cell)
+    def _number(self, cell: str, index: int, heading: str, row: int) -> float:
+        value = number(cell, self._layout.decimal)
+        if value is None and index == self._reading.time_at:
+            value = self._clock.seconds(cell)
+            if value is not None:
+                self._reading.time_is_dated()
         if value is None:
             raise DataError(
                 f"{self.name}: row {row}, column {heading!r}: {cell[:40]!r} is not a number; "

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import QUANTITIES, Column
+from motorlens_runtime.files.columns import Column
+from motorlens_runtime.files.headings import QUANTITIES
 
 Array = NDArray[np.float64]
 

@@ -6,6 +6,7 @@ What is read as a number is decided by all lines of the beginning together: the 
 cells numbers.
 """
 
+import codecs
 import csv
 import re
 from collections import Counter
@@ -13,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import unit_text
+from motorlens_runtime.files.headings import unit_text
 from motorlens_runtime.files.units import in_heading
 
 # A beginning of this length shows the heading and enough rows.
@@ -28,10 +29,20 @@ _NUMBER = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?|[+-]?inf(inity)?", re.IGNORECASE),
     ",": re.compile(r"[+-]?(\d+,?\d*|,\d+)([eEdD][+-]?\d+)?|[+-]?inf(inity)?", re.IGNORECASE),
 }
+# Digits in groups of three: by blanks of any kind or apostrophes, or, where a decimal mark follows, by the other mark.
+_GROUPED = {
+    ".": re.compile(r"[+-]?\d{1,3}(([ \u00a0\u202f\u2009'’]\d{3})+(\.\d+)?|(,\d{3})+\.\d+)"),
+    ",": re.compile(r"[+-]?\d{1,3}(([ \u00a0\u202f\u2009'’]\d{3})+(,\d+)?|(\.\d{3})+,\d+)"),
+}
+_GROUPS = {
+    mark: str.maketrans("", "", " \u00a0\u202f\u2009'’" + other) for mark, other in ((".", ","), (",", "."))
+}
 # Separator and decimal mark, the usual first: of two that read equally many numbers, the first is meant.
-_WRITINGS = ((",", "."), (";", "."), ("\t", "."), (" ", "."), (";", ","), ("\t", ","), (" ", ","), (",", ","))
+_WRITINGS = ((",", "."), (";", "."), ("\t", "."), (" ", "."), ("|", "."), (";", ","), ("\t", ","), (" ", ","), ("|", ","),
+             (",", ","))  # fmt: skip
 # A file without a time and a voltage is no recording.
 _FEWEST = 2
+_CONTROL = re.compile(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 
 
 @dataclass(frozen=True)
@@ -116,9 +127,12 @@ def number(cell: str, decimal: str = ".") -> float | None:
     """The number in a cell, NaN for a word that says that there is none; None if it is no number."""
     if cell.strip().lower() in MISSING:
         return float("nan")
-    if _NUMBER[decimal].fullmatch(cell.strip()) is None:
-        return None
-    return float(cell.strip().replace(",", ".").replace("d", "e").replace("D", "e"))
+    cell = cell.strip().replace("\u2212", "-")
+    if _NUMBER[decimal].fullmatch(cell) is None:
+        if _GROUPED[decimal].fullmatch(cell) is None:
+            return None
+        cell = cell.translate(_GROUPS[decimal])
+    return float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
 
 
 def is_comment(line: str) -> bool:
@@ -127,15 +141,23 @@ def is_comment(line: str) -> bool:
 
 
 def _encoding(head: bytes, where: str) -> str:
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if head.startswith(b"PK\x03\x04"):
+        raise DataError(
+            f"{where}: a spreadsheet or an archive, not a text file; save it as CSV, or unpack it"
+        )
+    if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+        return "utf-32"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     if head.startswith(b"\xef\xbb\xbf"):
         return "utf-8-sig"
     nulls = Counter(k % 2 for k, byte in enumerate(head[:1000]) if byte == 0)
-    if nulls and sum(nulls.values()) > 0.4 * len(head[:1000]):
-        return "utf-16-le" if nulls[1] > nulls[0] else "utf-16-be"
+    if nulls and 0.4 * len(head[:1000]) < sum(nulls.values()) <= 0.55 * len(head[:1000]):
+        wide = "utf-16-le" if nulls[1] > nulls[0] else "utf-16-be"
+        if not _CONTROL.search(head.decode(wide, errors="ignore")):
+            return wide
     # Control characters are in no text; the last bytes may be half a character.
-    if not re.search(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]", head):
+    if not _CONTROL.search(head.decode("latin-1")):
         for encoding in ("utf-8", "cp1252"):
             try:
                 head[: -4 if len(head) > 8 else None].decode(encoding)

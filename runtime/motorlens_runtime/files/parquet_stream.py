@@ -37,7 +37,9 @@ class ParquetStream:
                 f"{path}: a Parquet file needs pyarrow: pip install 'motorlens[publish]'"
             ) from None
         self.name, self._refused = str(path), (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError)
-        self._float64 = pa.float64()
+        self._float64, self._int64 = pa.float64(), pa.int64()
+        self._moments: Any = None
+        self._first_ns: int | None = None
         try:
             self._file = pq.ParquetFile(path)
         except self._refused as error:
@@ -47,6 +49,10 @@ class ParquetStream:
             self._reading = Reading(self.name, self._names, mapping, ambient_C)
             for index, heading in self._reading.used.items():
                 kind = self._file.schema_arrow.types[index]
+                if index == self._reading.time_at and pa.types.is_timestamp(kind):
+                    self._reading.time_is_dated()
+                    self._moments = pa.timestamp("ns", kind.tz)
+                    continue
                 if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
                     raise DataError(f"{path}: column {heading!r} holds {kind}, not numbers; convert it")
         except DataError:
@@ -82,6 +88,8 @@ class ParquetStream:
         self._file.close()
 
     def _numbers(self, column: Any) -> Array:
+        if str(column.type).startswith("timestamp"):
+            column = self._elapsed(column)
         if column.type != self._float64:
             column = column.cast(self._float64, safe=False)
         # Not by `to_numpy`, which imports pandas wherever that is installed: 40 MB.
@@ -90,6 +98,15 @@ class ParquetStream:
             missing = np.frombuffer(column.is_null().cast("uint8").buffers()[1], dtype=np.uint8)
             values = np.where(missing[: len(values)] > 0, np.nan, values)
         return values
+
+    def _elapsed(self, column: Any) -> Any:
+        """Moments as seconds since the first."""
+        import pyarrow.compute as pc
+
+        stamps = column.cast(self._moments, safe=False).cast(self._int64)
+        if self._first_ns is None:
+            self._first_ns = pc.min(stamps).as_py() or 0
+        return pc.multiply(pc.subtract(stamps, self._first_ns).cast(self._float64, safe=False), 1e-9)
 
 
 def _first_line(error: BaseException) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.gate import Samples
-from motorlens_runtime.files.columns import Column, require, understand
+from motorlens_runtime.files.columns import Column, in_seconds, require, understand
 from motorlens_runtime.files.guesses import refuse_counts
 
 Array = NDArray[np.float64]
@@ -101,6 +101,16 @@ class Reading:
             self.used[self._flags_at] = _FLAGS
         self._last_ns: int | None = None
         self.duplicates = 0
+
+    @property
+    def time_at(self) -> int | None:
+        """The index of the column that holds the time; None where it is computed."""
+        time = self._columns["time"]
+        return None if time.formula else time.index
+
+    def time_is_dated(self) -> None:
+        """The cells of the time hold dates or times of day, given as seconds, whatever the heading says."""
+        self._columns["time"] = in_seconds(self._columns["time"])
 
     def samples(self, cells: Callable[[int], Array], rows: NDArray[np.int64]) -> Samples:
         """The samples of a table: `cells` gives a column (n,) by its index, `rows` (n,) are its rows in the file.

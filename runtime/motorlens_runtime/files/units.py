@@ -7,6 +7,7 @@ counts radians, counts of a converter or encoder, and cycles (Hz), so that none 
 
 import re
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 _PI = 3.141592653589793
 BASES = ("m", "kg", "s", "A", "K", "rad", "count", "cycle")
@@ -58,16 +59,37 @@ def _atoms() -> dict[str, Unit]:
     )
     rpm = replace(rad / s, factor=_PI / 30)
     found |= dict.fromkeys(("rpm", "RPM", "Rpm", "1/min", "min-1", "min^-1", "U/min", "tr/min", "r/min"), rpm)
+    found |= dict.fromkeys(("rad/sec", "rads/s", "rads", "radps", "rad_per_s", "рад/с"), rad / s)
+    found |= dict.fromkeys(("giri/min", "об/мин", "tours/min", "omw/min", "upm", "Upm"), rpm)
+    found |= dict.fromkeys(("dps", "deg/sec"), found["deg"] / s) | dict.fromkeys(
+        ("rps", "rev/sec"), found["rev"] / s
+    )
     found["krpm"] = replace(rpm, factor=1000 * _PI / 30)
     prefixes = {"m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "k": 1e3}
     for name, letters in (("s", "muµμn"), ("V", "mukµμ"), ("A", "muµμk"), ("ohm", "mk"), ("Ω", "mk"), ("m", "mk"),
                           ("H", "muµ"), ("W", "mk"), ("N", "mk"), ("Nm", "mk"), ("rad", "m"), ("Hz", "k")):  # fmt: skip
         for letter in letters:
             found[letter + name] = replace(found[name], factor=prefixes[letter] * found[name].factor)
+    found |= {"d": replace(s, factor=86400.0), "с": s, "мс": found["ms"], "В": volt, "мВ": found["mV"], "А": a,
+              "мА": found["mA"], "Н·м": found["Nm"], "Nmm": found["mNm"],
+              "Ncm": replace(newton * m, factor=1e-2)}  # fmt: skip
     return found
 
 
+def _words(atoms: dict[str, Unit]) -> dict[str, Unit]:
+    """Units written out, in lower case."""
+    written = {
+        "s": "sec secs second seconds sekunde sekunden", "ms": "msec msecs millis millisecond milliseconds",
+        "us": "usec microsecond microseconds", "min": "mins minute minutes minuten", "h": "hr hrs hour hours",
+        "d": "day days", "V": "volt volts", "mV": "millivolt millivolts", "A": "amp amps ampere amperes",
+        "mA": "milliamp milliamps milliampere milliamperes", "ohm": "ohms", "degC": "celsius", "degF": "fahrenheit",
+        "K": "kelvin", "rad": "radian radians", "deg": "degree degrees grad", "rev": "revs revolution revolutions",
+    }  # fmt: skip
+    return {word: atoms[unit] for unit, words in written.items() for word in words.split()}
+
+
 _ATOMS = _atoms()
+_WORDS = _words(_ATOMS)
 # Units of two parts whose parts may be joined by another mark in a heading.
 _PAIRS = (
     "rad/s", "mrad/s", "deg/s", "°/s", "rev/s", "rev/min", "rad/s2", "m/s", "mm/s", "cm/s", "km/h", "m/s2", "counts/s",
@@ -80,6 +102,8 @@ def parse(text: str) -> Unit | None:
     """The unit of a spelling such as `mV`, `V*s/rad` or `m/s^2`; None if it is none."""
     if text in _ATOMS:
         return _ATOMS[text]
+    if text.lower() in _WORDS:
+        return _WORDS[text.lower()]
     tokens: list[tuple[str, str]] = []
     at = 0
     while at < len(text.rstrip()):
@@ -118,6 +142,7 @@ def _factor(tokens: list[tuple[str, str]]) -> tuple[Unit, list[tuple[str, str]]]
     return unit, rest
 
 
+@lru_cache(maxsize=4096)
 def in_heading(text: str) -> Unit | None:
     """Like `parse`, with `_`, `·`, `.`, `-`, a blank or nothing between the two parts of a unit (`rad_s`, `lbf·ft`)."""
     for pair in _PAIRS:

@@ -11,7 +11,8 @@ from motorlens_physics.reading import Table as File
 from motorlens_physics.reading import read_table
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import QUANTITIES, understand, units_offered
+from motorlens_runtime.files.columns import understand, units_offered
+from motorlens_runtime.files.headings import QUANTITIES
 from motorlens_workbench.report.page import Section, page, significant, unit_text
 from motorlens_workbench.report.pictures import Axes, Line, Plot, Table, time_plots
 

@@ -1,0 +1,179 @@
+"""Headings: which quantity the name of a column says it holds, and in which unit.
+
+The canonical heading is `quantity_unit` (`speed_rad_s`). What test stands and spreadsheets write is understood beside it:
+`Motor Optical Speed (RPM)`, `v[V]`, `U/V`, `Spannung U in mV`, `Time, ms`, `Motor Current A`, `TIME_MS`, `rpm`.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from motorlens_runtime.files.units import BASES, Unit, in_heading
+
+# quantity -> (canonical unit, the words a heading may use for it, in lower case without blanks)
+QUANTITIES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "time": ("s", ("time", "t", "timestamp", "elapsedtime", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "tid",
+                   "время", "时间", "時間")),
+    "voltage": ("V", ("voltage", "v", "u", "armaturevoltage", "terminalvoltage", "motorvoltage", "spannung",
+                      "ankerspannung", "motorspannung", "tension", "tensión", "tensione", "voltaje", "voltagem",
+                      "spanning", "напряжение", "电压", "電圧")),
+    "current": ("A", ("current", "i", "armaturecurrent", "motorcurrent", "strom", "ankerstrom", "motorstrom", "courant",
+                      "corriente", "corrente", "stroom", "ток", "电流", "電流")),
+    "speed": ("rad_s", ("speed", "w", "omega", "ω", "n", "motorspeed", "motoropticalspeed", "rotorspeed", "velocity",
+                        "angularvelocity", "drehzahl", "motordrehzahl", "winkelgeschwindigkeit", "vitesse", "velocidad",
+                        "velocidade", "velocità", "snelheid", "скорость", "转速", "回転数")),
+    "temperature": ("C", ("temperature", "temp", "t", "windingtemperature", "motortemp", "motortemperature",
+                          "coiltemperature", "temperatur", "wicklungstemperatur", "température", "temperatura",
+                          "temperatuur", "температура", "温度")),
+    "load_torque": ("Nm", ("loadtorque", "torque", "shafttorque", "drehmoment", "lastmoment", "couple", "par", "coppia",
+                           "момент", "转矩", "トルク")),
+    "ambient": ("C", ("ambient", "ambienttemperature", "umgebungstemperatur")),
+    "angle": ("rad", ("angle", "shaftangle", "position", "winkel", "drehwinkel")),
+    "resistance": ("ohm", ("resistance", "armatureresistance", "widerstand")),
+    "terminal": ("", ("terminal", "terminals")),
+    "shaft": ("", ("shaft",)),
+}  # fmt: skip
+# Words that are a quantity only with its unit beside them: alone they are as often something else.
+_NEED_A_UNIT = frozenset(("u", "n", "velocity", "tension", "couple", "par", "tempo", "temp"))
+_BRACKETED = re.compile(r"(.+?)\s*/?\s*[(\[]\s*([^)\]]+?)\s*[)\]]")
+# What stands between a name and its unit where there are no brackets.
+_BETWEEN = re.compile(r"\s+in\s+|\s*[/,;]\s*|[\s.\-:]+")
+_REVOLUTION = tuple({"rad": 1, "cycle": -1}.get(base, 0) for base in BASES)
+# Words that make another quantity of a name, as `sd` and `rise` do in what `infer` writes.
+_OTHER_WORDS = frozenset(("ref", "raw", "cmd", "set", "max", "min", "sd", "rise"))
+# Units that stand for their quantity where a heading is nothing else.
+_SPEAKING = re.compile("rpm|volts?|amps?|seconds?|milliseconds?|ms|us|celsius|degc", re.IGNORECASE)
+
+
+def recognise(heading: str) -> tuple[str, str] | None:
+    """Quantity and unit of a heading such as `speed_rpm`, `Voltage (V)` or `U/V`; None if it is neither.
+
+    The unit is empty where the heading is the bare word.
+    """
+    return _canonically(heading) or _freely(heading)
+
+
+def is_canonical(heading: str) -> bool:
+    """Whether a heading is `quantity_unit`, a bare word or has its unit in brackets."""
+    return _canonically(heading) is not None
+
+
+def unit_text(heading: str) -> str | None:
+    """The unit written in a heading, in brackets or after `_`, `/`, `,` or "in", if one is there.
+
+    A single small letter is none: `i_m` is the motor's current and `u_s` a supply, not metres and seconds.
+    """
+    bracketed = _BRACKETED.fullmatch(heading)
+    if bracketed:
+        return bracketed[2]
+    pieces = heading.split("_")
+    for start in range(1, len(pieces)):
+        suffix = "_".join(pieces[start:])
+        if in_heading(suffix) is not None and not re.fullmatch("[a-z1]", suffix):
+            return suffix
+    if in_heading(heading) is None:
+        for between, suffix in _split(heading):
+            # After a blank or a dash a letter is rather a number of its own: `Phase A`, `Motor-A`.
+            if in_heading(suffix) is not None and (len(suffix) > 1 or between not in (" ", "-", ".", ":")):
+                return suffix
+    return None
+
+
+def unit_in(heading: str) -> Unit | None:
+    """The unit written in a heading; None if there is none, or none that is known."""
+    text = unit_text(heading)
+    return None if text is None else in_heading(text)
+
+
+def candidates(quantity: str, headings: Sequence[str]) -> list[str]:
+    """The headings whose unit is one of the quantity's; without any, those that hold a word for it."""
+    unit, words = QUANTITIES[quantity]
+    by_unit = [h for h in headings if (text := unit_text(h)) and conversion(unit, text) is not None]
+    if by_unit:
+        return by_unit
+    long = [word for word in words if len(word) > 3]
+    return [h for h in headings if unit_text(h) is None and any(word in h.lower() for word in long)]
+
+
+@lru_cache(maxsize=4096)
+def conversion(canonical: str, text: str) -> tuple[float, float] | None:
+    """Factor and offset from a spelling to a canonical unit; None if it is of another dimension. A cycle is a turn."""
+    unit, target = in_heading(text), in_heading(canonical) if canonical else None
+    if unit is None or target is None:
+        return None
+    if unit.dimension != target.dimension:
+        cycles = unit.dimension[BASES.index("cycle")]
+        unit = unit * Unit(2 * np.pi, _REVOLUTION) ** cycles
+        if not cycles or unit.dimension != target.dimension:
+            return None
+    return unit.factor, unit.offset
+
+
+def _canonically(heading: str) -> tuple[str, str] | None:
+    bracketed = _BRACKETED.fullmatch(heading)
+    if bracketed:
+        named = [quantity for quantity in QUANTITIES if _is_named(quantity, bracketed[1])]
+        for quantity in named:
+            if conversion(QUANTITIES[quantity][0], bracketed[2]) is not None:
+                return quantity, bracketed[2]
+        return (named[0], bracketed[2]) if named and in_heading(bracketed[2]) is None else None
+    words = re.sub(r"[\s_]", "", heading).lower()
+    for quantity, (unit, names) in QUANTITIES.items():
+        if words in (quantity.replace("_", ""), *names) and words not in _NEED_A_UNIT:
+            return quantity, ""
+        for name in (quantity, *names):
+            if heading.lower().startswith(name + "_"):
+                suffix = heading[len(name) + 1 :]
+                if heading.isupper():
+                    suffix = _in_small_letters(quantity, suffix)
+                # A longer word (`current_limit_A`) is another quantity, and `speed_reference` no unit; `speed_m_s` is a
+                # speed, but none of a shaft.
+                if conversion(unit, suffix) is not None or (
+                    name == quantity and _unitlike(suffix) and in_heading(suffix) is None
+                ):
+                    return quantity, suffix
+    return None
+
+
+def _freely(heading: str) -> tuple[str, str] | None:
+    """Name and unit without brackets: both must be known, and of one quantity."""
+    if _SPEAKING.fullmatch(heading):
+        return next(
+            (q, heading) for q, (unit, _) in QUANTITIES.items() if conversion(unit, heading) is not None
+        )
+    for _, unit_there in _split(heading):
+        name = heading[: len(heading) - len(unit_there)]
+        name = re.sub(r"(\s+in\s+|[\s/,;.\-:(]+)$", "", name)
+        for quantity, (unit, _names) in QUANTITIES.items():
+            if unit and _is_named(quantity, name) and conversion(unit, unit_there) is not None:
+                return quantity, unit_there
+    return None
+
+
+def _split(heading: str) -> Iterator[tuple[str, str]]:
+    """What may stand between name and unit, and the unit, for each place where a heading may be parted."""
+    for between in _BETWEEN.finditer(heading):
+        if between.start() > 0 and between.end() < len(heading):
+            yield between[0].strip() or " ", heading[between.end() :]
+
+
+def _is_named(quantity: str, name: str) -> bool:
+    """Whether a name is a word for a quantity, also beside its symbol (`Spannung U`)."""
+    names = (quantity.replace("_", ""), *QUANTITIES[quantity][1])
+    pieces = re.split(r"[\s_]+", name.strip().lower())
+    return "".join(pieces) in names or all(piece in names for piece in pieces)
+
+
+def _in_small_letters(quantity: str, suffix: str) -> str:
+    """The unit that a heading in capitals means: `TIME_MS` is in milliseconds, `SPEED_RAD_S` in radians per second."""
+    usual = {"time": ("s", "ms", "us"), "speed": ("rad_s", "rpm", "deg_s"), "voltage": ("V", "mV"), "current": ("A", "mA"),
+             "load_torque": ("Nm", "mNm"), "angle": ("rad", "deg")}.get(quantity, ())  # fmt: skip
+    return next((unit for unit in usual if unit.upper() == suffix), suffix)
+
+
+def _unitlike(suffix: str) -> bool:
+    """Whether a suffix reads as a unit rather than as another word of the name (`speed_ref`, `speed_sd_rad_s`)."""
+    pieces = suffix.lower().split("_")
+    return all(len(piece) <= 4 for piece in pieces) and pieces[0] not in _OTHER_WORDS
