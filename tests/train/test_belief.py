@@ -45,20 +45,21 @@ def test_the_weight_is_the_ratio_of_two_normal_densities(b, sd):
     assert found == pytest.approx(far - near, rel=1e-9)
 
 
-@pytest.mark.parametrize("probability", [0.01, 0.04, 0.1, 0.3, 1.0])
-def test_intervals_leave_out_no_more_than_they_say(probability):
+@pytest.mark.parametrize("prior", [0.125, 0.5])
+@pytest.mark.parametrize("probability", [0.001, 0.01, 0.04, 0.1, 0.3, 1.0])
+def test_intervals_leave_out_no_more_than_they_say(probability, prior):
     r = Recorder()
-    wider = float(r.program([belief.widened(r.input("p"))])(probability)[0])
+    wider = float(r.program([belief.widened(r.input("p"), prior)])(probability)[0])
     # An even spread of half width 1, there with this probability: what lies beyond so many deviations of it.
     beyond = [probability * max(0.0, 1.0 - reach * wider) for reach in (1.96, 4.0)]
-    assert beyond[0] <= 0.05 + 1e-12 and beyond[1] <= 0.0005 + 1e-12
+    assert beyond[0] <= 0.05 * prior + 1e-12 and beyond[1] <= 0.0005 + 1e-12
     # And one of the two is used up.
-    assert beyond[0] == pytest.approx(0.05) or beyond[1] == pytest.approx(0.0005)
+    assert beyond[0] == pytest.approx(0.05 * prior) or beyond[1] == pytest.approx(0.0005)
 
 
 def test_what_is_too_unlikely_to_matter_widens_nothing():
     r = Recorder()
-    assert float(r.program([belief.widened(r.input("p"))])(0.0004)[0]) == 0.0
+    assert float(r.program([belief.widened(r.input("p"), 0.125)])(0.0004)[0]) == 0.0
 
 
 def test_spreads_are_those_of_a_maker_s_tolerance_and_of_the_catalogue():
@@ -74,11 +75,11 @@ def test_spreads_are_those_of_a_maker_s_tolerance_and_of_the_catalogue():
 def test_before_anything_has_shown_the_file_s_motor_is_three_times_as_likely_as_the_others():
     nothing = doubted()
     assert nothing.odds == pytest.approx(1 / 3)
-    # One in eight, evenly within 10 %: 95 % of it reach to 0.6 of 20 rad/s, at 1.96 deviations; four to 0.996 of it.
+    # Evenly within 10 %: 95 % of them reach to 0.95 of 20 rad/s, at 1.96 deviations.
     # As likely a drop of up to 4.2 V, all of which a steady motor takes for speed.
     largest = 3**0.5 * belief.DROP * MELLAH.rated.voltage_V / MELLAH.motor.ke
-    assert nothing.speed == pytest.approx(0.6 * np.hypot(20.0, largest) / 1.96, rel=1e-6)
-    assert nothing.temperature == pytest.approx(0.6 * 27.0 / 1.96, rel=1e-6)
+    assert nothing.speed == pytest.approx(0.95 * np.hypot(20.0, largest) / 1.96, rel=1e-6)
+    assert nothing.temperature == pytest.approx(0.95 * 27.0 / 1.96, rel=1e-6)
 
 
 def test_a_motor_that_is_shown_to_be_the_file_s_is_believed_and_its_intervals_are_narrow():

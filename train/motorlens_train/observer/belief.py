@@ -24,8 +24,9 @@ SPREAD = {"inertia": TOLERANCE * (5 / 3) ** 0.5, "inductance": TOLERANCE / 3**0.
 SLACK = {"inertia": 0.002, "inductance": 0.005}
 # A drop: one deviation as a share of the rated voltage, the prior of `brush_voltage_drop` in the catalogue of effects.
 DROP = 0.01
-# What an interval of so many deviations may leave out: 0.05 of 1.96, and of 4.0 what one motor in two thousand is.
-LEVELS = ((0.05, 1.96), (0.0005, 4.0))
+# An interval of 1.96 deviations may leave out one in twenty of the motors of each hypothesis, not of all motors together:
+# who has another motor than the file's is not helped by those who have not. One of 4.0: one motor in two thousand.
+ONE_IN_TWENTY, HARDLY_ANY = (0.05, 1.96), (0.0005, 4.0)
 # Of a motor that creeps or follows a controller, estimates of discrepancies lie up to three of their deviations off.
 COUNTED = 1 / 9
 # Odds are kept within exp(-+MOST).
@@ -73,8 +74,9 @@ def doubt(
     another = 0.0 if {"J", "ke"} & set(layout.parameters) else exponent(other) * prior
     drop = exponent(missing) * prior
     either = another + drop
-    share = 0.0 if isinstance(another, float) else widened(another / (either + 1.0))
-    lost = widened(drop / (either + 1.0))
+    others = layout.settings.others
+    share = 0.0 if isinstance(another, float) else widened(another / (either + 1.0), others)
+    lost = widened(drop / (either + 1.0), others)
     grown = {}
     # Another motor is off by as much as its tolerance, and by what its J and L have done to the states.
     for state, size in ((w, x[w]), (theta, x[theta] + 1 / layout.motor.alpha)):
@@ -109,13 +111,14 @@ def exponent(logarithm: Any) -> Any:
     return logarithm.max(-MOST).min(MOST).exp()
 
 
-def widened(probability: Any) -> Any:
+def widened(probability: Any, prior: float) -> Any:
     """Deviation, in terms of half the width of an even spread, by which intervals must be wider that hold with a probability
     what is so spread.
 
-    Beyond a share x of the half width lies (1 - x) of it: an interval that leaves out q reaches to 1 - q / probability.
+    Beyond a share x of the half width lies (1 - x) of it: an interval that leaves out q reaches to 1 - q / probability. A
+    hypothesis of a `prior` that has become twenty times less likely is refuted.
     """
     widest: Any = 0.0
-    for left_out, deviations in LEVELS:
+    for left_out, deviations in ((ONE_IN_TWENTY[0] * prior, ONE_IN_TWENTY[1]), HARDLY_ANY):
         widest = ((1.0 - left_out / probability) * (1.0 / deviations)).max(widest)
     return widest

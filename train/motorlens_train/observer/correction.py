@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from motorlens_train.observer.algebra import congruence, dot, exponential, mixed, probability
+from motorlens_train.observer.cold import followed, stored, track_of, walked
 from motorlens_train.observer.discrepancies import Window, told
 from motorlens_train.observer.file import MEMORY, WINDOW
 from motorlens_train.observer.layout import Layout
@@ -29,6 +30,7 @@ def correct(layout: Layout) -> Program:
     window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
     memory = dict(zip(MEMORY, r.inputs(MEMORY), strict=True))
     known = layout.sensitivities(r)
+    track = track_of(layout, r)
     branches = layout.unpack(r)
     # Over a gap nobody knows what was done to the motor.
     gap = r.apply("le", GAP * layout.period, window["time"])
@@ -80,13 +82,24 @@ def correct(layout: Layout) -> Program:
     x, _ = mixed(share, new)
     plain = gap.select(window["current"], window["sum_current"] / window["time"])
     mean = plain + window["sum_bends"] / window["time"]
-    rates, _ = layout.linearised(r, x, mean, window["voltage"], ambient)
+    rates, A = layout.linearised(r, x, mean, window["voltage"], ambient)
+    square = gap.select(mean * mean, window["sum_square"] / window["time"])
+    track = followed(
+        layout, r, track, x, rates, A, window, mean, square, unseen(layout, window["time"], gap), memory["count"] <= 0.0
+    )  # fmt: skip
     # What brakes the rotor, as an acceleration: the next window's samples need it.
     drag = (rates[layout.at["w"]] - mean * (layout.motor.ke / layout.motor.J)) * believed
     begun = {name: window[name] for name in ("alive", "voltage", "current")}
     begun |= {"current_start": window["current"], "drag": drag, "hold": hold}
     fresh = [begun.get(name, 0.0) for name in WINDOW]
-    return r.program([*fresh, *(after[name] for name in MEMORY), *kept, *layout.pack(new)])
+    return r.program([*fresh, *(after[name] for name in MEMORY), *kept, *stored(track), *layout.pack(new)])
+
+
+def unseen(layout: Layout, T: Any, gap: Any) -> Any:
+    """Variance that a gap of T seconds adds to the winding's temperature, K^2."""
+    motor, rated = layout.motor, layout.rated
+    warming = motor.k0 * (1 + motor.kT * rated.speed_rad_s) * rated.rise_K / motor.H
+    return gap.select((T * T * warming**2).min(layout.sd[layout.at["theta"]] ** 2), 0.0)
 
 
 @dataclass(frozen=True)
@@ -154,8 +167,6 @@ def _advanced(
     # It changes at any time of the window: half of it before, half after.
     P[load][load] = P[load][load] + 0.5 * walk
     P = congruence(F, P)
-    warming = motor.k0 * (1 + motor.kT * rated.speed_rad_s) * rated.rise_K / motor.H
-    unseen = gap.select((T * T * warming**2).min(layout.sd[theta] ** 2), 0.0)
     unsure = (mean - plain) * settings.bend_sd
     shaken = unsure * T * (motor.ke / motor.J)
     P[w][w] = (
@@ -164,7 +175,7 @@ def _advanced(
         + shaken * shaken
         + (1e-5 * rated.speed_rad_s) ** 2
     )
-    P[theta][theta] = P[theta][theta] + T.min(3600.0) * settings.thermal_walk**2 + unseen
+    P[theta][theta] = P[theta][theta] + walked(layout, T) + unseen(layout, T, gap)
     middle = list(ahead)
     # The mean speed of a window in which the current, and so the acceleration, changes.
     sag = T * (window["current"] - window["current_start"]) * (motor.ke / motor.J / 12)

@@ -14,6 +14,8 @@ from motorlens_train.observer.program import Recorder, record
 
 # What heats along with the winding: as a share of its rise, and how far from that, in rated rises.
 ALONG, APART = 0.7, 0.04
+# What is kept of a winding that began cold (see `cold`), beside its temperatures.
+TRACK = 3
 # What the sensors and the motor may have that the file does not know, each one number with its sensitivities (see
 # `discrepancies`): how the voltage runs between samples, an inertia, an inductance and a voltage drop other than the file's.
 DISCREPANCIES = ("hold", "inertia", "inductance", "drop")
@@ -67,6 +69,7 @@ class Layout:
         v_sd, i_sd: noise of a sample that it starts from, V and A.
         states, at: names of the states, and the place of each.
         start, sd, covariance: what is believed of them before the first sample.
+        slow: places of the temperatures, the winding's first.
         pairs: the upper half of a covariance.
         size: of the observer's state.
     """
@@ -99,6 +102,7 @@ class Layout:
         # that starts cold is cold throughout.
         slow = [k for k, name in enumerate(self.states) if name.startswith("theta_")]
         winding = self.at["theta"]
+        self.slow = (winding, *slow)
         for k in slow:
             self.start[k] = ALONG * self.start[winding]
             for other in (winding, *slow):
@@ -108,7 +112,12 @@ class Layout:
             self.sd[k] = math.sqrt(self.covariance[k][k])
         n = len(self.states)
         self.size = (
-            len(WINDOW) + len(MEMORY) + len(DISCREPANCIES) * (n + 2) + len(BRANCHES) * (n + len(self.pairs))
+            len(WINDOW)
+            + len(MEMORY)
+            + len(DISCREPANCIES) * (n + 2)
+            + len(self.slow)
+            + TRACK
+            + len(BRANCHES) * (n + len(self.pairs))
         )
 
     def sensitivities(self, r: Recorder) -> dict[str, tuple[list[Any], Any, Any]]:

@@ -4,6 +4,7 @@ from typing import Any
 
 from motorlens_train.observer.algebra import dot, mixed, probability
 from motorlens_train.observer.belief import doubt
+from motorlens_train.observer.cold import track_of, weighed
 from motorlens_train.observer.discrepancies import HOLD_KNOWN
 from motorlens_train.observer.file import MEMORY, WINDOW
 from motorlens_train.observer.layout import Layout
@@ -21,6 +22,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     memory = dict(zip(MEMORY, r.inputs(MEMORY), strict=True))
     restless = memory["restless"]
     known = layout.sensitivities(r)
+    track = track_of(layout, r)
     changing = probability(memory["odds"])
     x, P = mixed(changing, layout.unpack(r))
     n = len(layout.states)
@@ -53,6 +55,14 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     unknown = dict(layout.settings.tolerances).get("R_a0", 0.0)
     apart = (x[theta] + 1 / layout.motor.alpha) * unknown
     variances["temperature"] = variances["temperature"] + apart * apart
+    # A start from ambient temperature, as far as it is borne out; and with the temperature goes what errs along with it.
+    filtered = variances["temperature"]
+    start = weighed(layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"])
+    along = {"speed": P[w][theta], "temperature": filtered, "resistance": ohms * P[theta][theta]}
+    for name, covariance in along.items():
+        slope = 1.0 if name == "temperature" else covariance / filtered
+        outputs[name] = outputs[name] + slope * start.moves
+        variances[name] = variances[name] + slope * slope * (start.variance - filtered)
     sizes = {
         "speed": layout.rated.speed_rad_s, "temperature": layout.rated.rise_K,
         "resistance": layout.motor.R_a0 * layout.motor.alpha * layout.rated.rise_K,
