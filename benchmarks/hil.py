@@ -100,8 +100,9 @@ def device(rate: int, n: int, seconds: float, stamps: str) -> int:
     """Print the port, wait for a reader, send in real time, write when each frame was sent."""
     master, slave = pty.openpty()
     tty.setraw(slave)
-    print(os.ttyname(slave), flush=True)
-    os.close(slave)
+    name = os.ttyname(slave)
+    os.close(slave)  # before it is said: a port that someone holds is not opened
+    print(name, flush=True)
     hello = hello_of(rate)
     codes, frames = codes_of(int(seconds * rate)), int(seconds * rate) // n
     poll = select.poll()

@@ -88,97 +88,110 @@ uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *sta
 
 #else
 
-/* The features after the sample that was taken last. */
-static void look(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample, double *features)
+/* What the features after the sample that was taken last are made of, into one lane of `known`. */
+static void look(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample, motorlens_lanes *known,
+                 int lane)
 {
     const motorlens_features *map = &sensor->features;
-    double known[MOTORLENS_FILTERS + MOTORLENS_SIGNALS + MOTORLENS_OBSERVER];
-    motorlens_bank_values(map, &state->bank, known);
-    motorlens_signals(map, sample, known + map->filters);
-    observe(sensor, state, sample, known + map->filters + map->signals);
-    motorlens_features_of(map, known, features);
+    const int count = map->filters + map->signals + sensor->observer.outputs;
+    double here[MOTORLENS_KNOWN];
+    motorlens_bank_values(map, &state->bank, here);
+    motorlens_signals(map, sample, here + map->filters);
+    observe(sensor, state, sample, here + map->filters + map->signals);
+    for (int k = 0; k < count; k++)
+        known[k][lane] = here[k];
 }
 
-void motorlens_batch_start(motorlens_batch *batch)
+/* So many rows are evaluated side by side that all lanes are to hold numbers: those of the first row. */
+static void fill_lanes(motorlens_lanes *known, int count, int rows)
 {
-    memset(batch, 0, sizeof *batch);
+    for (int k = 0; k < count; k++)
+        for (int lane = rows; lane < MOTORLENS_LANES; lane++)
+            known[k][lane] = known[k][0];
 }
 
-int motorlens_batch_add(const motorlens_sensor *sensor, motorlens_batch *batch, const double *features, uint32_t quality)
+void motorlens_evaluate_rows(const motorlens_sensor *sensor, motorlens_lanes *features, int rows, double *estimate,
+                             double *sigma, uint32_t *quality)
 {
-    for (int k = 0; k < sensor->features.features; k++)
-        batch->features[k][batch->rows] = features[k];
-    if (sensor->envelope.distrust >= 0 && features[sensor->envelope.distrust] > 0.0)
-        quality |= MOTORLENS_QUALITY_UNFORETOLD;
-    batch->quality[batch->rows++] = quality;
-    return batch->rows == MOTORLENS_LANES;
-}
-
-void motorlens_batch_finish(const motorlens_sensor *sensor, motorlens_batch *batch, double *estimate, double *sigma,
-                            uint32_t *quality)
-{
-    const int outputs = sensor->network.outputs;
+    const int outputs = sensor->network.outputs, distrust = sensor->envelope.distrust;
     motorlens_lanes columns[MOTORLENS_COLUMNS];
     motorlens_lanes values[MOTORLENS_OUTPUTS], deviations[MOTORLENS_OUTPUTS], squares;
-    motorlens_whitened(&sensor->envelope, sensor->features.features, batch->features, columns, squares);
+    if (distrust >= 0)
+        for (int row = 0; row < rows; row++)
+            if (features[distrust][row] > 0.0)
+                quality[row] |= MOTORLENS_QUALITY_UNFORETOLD;
+    motorlens_whitened(&sensor->envelope, sensor->features.features, features, columns, squares);
     motorlens_network_evaluate(&sensor->network, sensor->features.features, columns, values, deviations);
-    for (int row = 0; row < batch->rows; row++) {
-        uint32_t word = batch->quality[row];
+    for (int row = 0; row < rows; row++) {
         if (squares[row] > sensor->envelope.limit)
-            word |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
+            quality[row] |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
         for (int k = 0; k < outputs; k++) {
             if (!(isfinite(values[k][row]) && isfinite(deviations[k][row])))
-                word |= MOTORLENS_QUALITY_NOT_FINITE;
+                quality[row] |= MOTORLENS_QUALITY_NOT_FINITE;
             *estimate++ = values[k][row];
             *sigma++ = deviations[k][row];
         }
-        *quality++ = word;
     }
-    batch->rows = 0;
 }
 
 uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *state, const motorlens_sample *sample,
                             uint32_t quality, double *estimate, double *sigma)
 {
-    double features[MOTORLENS_FEATURES];
-    motorlens_batch batch;
-    motorlens_batch_start(&batch);
-    look(sensor, state, sample, features);
-    motorlens_batch_add(sensor, &batch, features, quality);
-    motorlens_batch_finish(sensor, &batch, estimate, sigma, &quality);
+    const int count = sensor->features.filters + sensor->features.signals + sensor->observer.outputs;
+    motorlens_lanes known[MOTORLENS_KNOWN], features[MOTORLENS_FEATURES];
+    look(sensor, state, sample, known, 0);
+    fill_lanes(known, count, 1);
+    motorlens_features_of(&sensor->features, (const motorlens_lanes *)known, features);
+    motorlens_evaluate_rows(sensor, features, 1, estimate, sigma, &quality);
     return quality;
 }
 
-int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, int64_t n, const int64_t *time_ns,
-                       const double *voltage_V, const double *current_A, const double *ambient_C, const uint32_t *flags,
-                       int64_t m, const int64_t *rows, double *estimate, double *sigma, uint32_t *quality,
-                       double *features)
+/* The features of rows with these numbers since the start, as far as they are to be looked at. */
+static void show_features(const motorlens_sensor *sensor, motorlens_block *block, motorlens_lanes *features,
+                          const int64_t *numbers, int rows)
+{
+    for (int row = 0; row < rows; row++)
+        if (numbers[row] % block->look_every < block->look_length) {
+            double *place = block->features + block->looked++ * sensor->features.features;
+            for (int k = 0; k < sensor->features.features; k++)
+                place[k] = features[k][row];
+        }
+}
+
+int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, motorlens_block *block)
 {
     motorlens_state next = *state;
-    const int64_t outputs = sensor->network.outputs, width = sensor->features.features;
-    int64_t asked = 0, done = 0;
-    double made[MOTORLENS_FEATURES];
-    motorlens_batch batch;
-    motorlens_batch_start(&batch);
-    for (int64_t k = 0; k < n; k++) {
+    const int count = sensor->features.filters + sensor->features.signals + sensor->observer.outputs;
+    const int64_t outputs = sensor->network.outputs;
+    motorlens_lanes known[MOTORLENS_KNOWN], features[MOTORLENS_FEATURES];
+    int64_t asked = 0, numbers[MOTORLENS_LANES];
+    int rows = 0;
+    block->looked = 0;
+    for (int64_t k = 0; k < block->n; k++) {
         motorlens_sample sample;
         uint32_t word;
-        sample.time_ns = time_ns[k];
-        sample.voltage_V = voltage_V[k];
-        sample.current_A = current_A[k];
-        sample.ambient_C = ambient_C == NULL ? (double)NAN : ambient_C[k];
-        sample.flags = flags == NULL ? 0 : flags[k];
+        sample.time_ns = block->time_ns[k];
+        sample.voltage_V = block->voltage_V[k];
+        sample.current_A = block->current_A[k];
+        sample.ambient_C = block->ambient_C == NULL ? (double)NAN : block->ambient_C[k];
+        sample.flags = block->flags == NULL ? 0 : block->flags[k];
         word = motorlens_update(sensor, &next, &sample);
         if (word == MOTORLENS_BACKWARDS)
             return k + 1;
-        if (asked < m && (rows == NULL || rows[asked] == k)) {
-            double *place = features == NULL ? made : features + asked * width;
-            look(sensor, &next, &sample, place);
-            asked++;
-            if (motorlens_batch_add(sensor, &batch, place, word) || asked == m) {
-                motorlens_batch_finish(sensor, &batch, estimate + done * outputs, sigma + done * outputs, quality + done);
-                done = asked;
-            }
+        if (asked == block->m || (block->rows != NULL && block->rows[asked] != k))
+            continue;
+        look(sensor, &next, &sample, known, rows);
+        numbers[rows] = next.bank.count - 1;
+        block->quality[asked++] = word;
+        if (++rows == MOTORLENS_LANES || asked == block->m) {
+            const int64_t first = asked - rows;
+            fill_lanes(known, count, rows);
+            motorlens_features_of(&sensor->features, (const motorlens_lanes *)known, features);
+            if (block->look_every > 0)
+                show_features(sensor, block, features, numbers, rows);
+            motorlens_evaluate_rows(sensor, features, rows, block->estimate + first * outputs, block->sigma + first * outputs,
+                                    block->quality + first);
+            rows = 0;
         }
     }
     *state = next;

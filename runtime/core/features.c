@@ -106,12 +106,13 @@ void motorlens_signals(const motorlens_features *map, const motorlens_sample *sa
         signals[k] = measured[map->first[k]] * measured[map->second[k]];
 }
 
-void motorlens_features_of(const motorlens_features *map, const double *columns, double *features)
+void motorlens_features_of(const motorlens_features *map, const motorlens_lanes *known, motorlens_lanes *features)
 {
     for (int k = 0; k < map->features; k++) {
-        features[k] = columns[map->plus[k]];
+        memcpy(features[k], known[map->plus[k]], sizeof *features);
         if (map->minus[k] != UINT16_MAX)
-            features[k] -= columns[map->minus[k]];
+            for (int lane = 0; lane < MOTORLENS_LANES; lane++)
+                features[k][lane] -= known[map->minus[k]][lane];
     }
 }
 

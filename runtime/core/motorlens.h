@@ -214,27 +214,31 @@ uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *sta
 typedef motorlens_real motorlens_lanes[MOTORLENS_LANES];
 
 #if !MOTORLENS_SINGLE
-/* Many samples in one call: n of each array (`ambient_C` and `flags` may be NULL), evaluated at the m indices `rows` in rising
- * order (NULL: all); `features` (m, F) is where the features go, or NULL. Gives 0, or the index from 1 of a sample at which time
- * runs backwards, and leaves the state as it was. */
-int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, int64_t n, const int64_t *time_ns,
-                       const double *voltage_V, const double *current_A, const double *ambient_C, const uint32_t *flags,
-                       int64_t m, const int64_t *rows, double *estimate, double *sigma, uint32_t *quality,
-                       double *features);
-
-/* Rows that wait to be evaluated together. */
+/* Many samples: n of each array (`ambient_C` and `flags` may be NULL), to be evaluated at the m indices `rows` in rising order
+ * (NULL: all). Estimates and deviations are (m, outputs), quality words (m). `features` (looked, features) takes those of the
+ * first `look_length` of each `look_every` samples since the start that are evaluated (0: of none), `looked` how many they were. */
 typedef struct {
-    motorlens_lanes features[MOTORLENS_FEATURES];
-    uint32_t quality[MOTORLENS_LANES];
-    int32_t rows;
-} motorlens_batch;
+    int64_t n, m, look_every, look_length, looked;
+    const int64_t *time_ns;
+    const double *voltage_V, *current_A, *ambient_C;
+    const uint32_t *flags;
+    const int64_t *rows;
+    double *estimate, *sigma;
+    uint32_t *quality;
+    double *features;
+} motorlens_block;
 
-void motorlens_batch_start(motorlens_batch *batch);
-/* Add a row; whether the batch is full and must be finished before the next. */
-int motorlens_batch_add(const motorlens_sensor *sensor, motorlens_batch *batch, const double *features, uint32_t quality);
-/* Estimates and deviations (rows, outputs) and the quality words (rows); the batch is empty afterwards. */
-void motorlens_batch_finish(const motorlens_sensor *sensor, motorlens_batch *batch, double *estimate, double *sigma,
-                            uint32_t *quality);
+/* All of them in one call. Gives 0, or the index from 1 of a sample at which time runs backwards, and leaves the state as it
+ * was. */
+int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, motorlens_block *block);
+
+/* What features are made of: filters, signals, outputs of the observer. */
+#define MOTORLENS_KNOWN (MOTORLENS_FILTERS + MOTORLENS_SIGNALS + MOTORLENS_OBSERVER)
+
+/* Estimates and deviations (rows, outputs) of `rows` rows of features side by side, and what is added to their quality words.
+ * The features are overwritten; all lanes of them are numbers, whatever `rows` is. */
+void motorlens_evaluate_rows(const motorlens_sensor *sensor, motorlens_lanes *features, int rows, double *estimate,
+                             double *sigma, uint32_t *quality);
 #endif
 
 /* ---- its parts --------------------------------------------------------------------------------------------------- */
@@ -249,7 +253,7 @@ void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *s
                         const double *observed, motorlens_lanes *columns, motorlens_real *squares);
 #else
 void motorlens_bank_values(const motorlens_features *map, const motorlens_bank_state *state, double *values);
-void motorlens_features_of(const motorlens_features *map, const double *columns, double *features);
+void motorlens_features_of(const motorlens_features *map, const motorlens_lanes *known, motorlens_lanes *features);
 void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_lanes *features, motorlens_lanes *columns,
                         double *squares);
 #endif

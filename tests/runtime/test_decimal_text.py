@@ -5,7 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from motorlens_runtime.files.csv_stream import _by_core
 from motorlens_runtime.files.decimal_text import nine_digits, read, seconds, seconds_text, table
+from motorlens_runtime.sensor.core_library import core
+
+needs_core = pytest.mark.skipif(core().library is None, reason=f"no C core: {core().reason}")
 
 
 def text_of(row):
@@ -30,6 +34,35 @@ def test_plain_numbers_are_read_as_float_reads_them(cells):
     expected = np.array([float(cell) for cell in cells])
     values = read_cells(cells)
     assert values is not None and values.tobytes() == expected.tobytes()
+
+
+@needs_core
+@given(
+    st.lists(
+        st.one_of(
+            plain, st.floats(allow_nan=False, allow_infinity=False).map(repr), st.floats().map("{:.17e}".format),
+            st.text("0123456789.-+e nan\"x", max_size=24),
+        ), min_size=1, max_size=8,
+    )
+)  # fmt: skip
+def test_the_core_hands_a_table_back_or_reads_it_as_float_does(cells):
+    """Numbers of any length and size; the column beside them is not looked at."""
+    text = "".join(f"{cell},?\n" for cell in cells).encode()
+    table = _by_core(text, 2, {0: "x"}, b",")
+    if table is not None:
+        assert table[:, 0].tobytes() == np.array([float(cell) for cell in cells]).tobytes()
+    plain_alone = [cell for cell in cells if cell.strip("-").replace(".", "", 1).isdigit()]
+    if plain_alone:
+        expected = np.array([float(cell) for cell in plain_alone])
+        table = _by_core("".join(f"{cell}\n" for cell in plain_alone).encode(), 1, {0: "x"}, b",")
+        assert table is not None and table[:, 0].tobytes() == expected.tobytes()
+
+
+@needs_core
+@pytest.mark.parametrize("text", ["1,2\n3\n", "1,2\n3,4,5\n", "1,\n", "nan,1\n", "1, 2\n", "1,2", "-,1\n", ".,1\n",
+                                  "1e,2\n", '1,"2\n', "\n", "+1,2\n", "0x1,2\n"])  # fmt: skip
+def test_what_is_no_plain_table_is_handed_back(text):
+    assert _by_core(text.encode(), 2, {0: "x", 1: "y"}, b",") is None
 
 
 @given(

@@ -1,4 +1,4 @@
-"""Few samples are judged one by one in plain numbers, many as arrays: to the same end, field by field."""
+"""Few samples are judged one by one, many as arrays, by the C core each alone: to the same end, field by field."""
 
 import numpy as np
 import pytest
@@ -37,19 +37,18 @@ def troubled(rng, n, period_ns):
 @pytest.mark.fit
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1 / 3000, 0.04]))
-def test_one_by_one_and_as_arrays(specification, seed, period_s):
+def test_one_by_one_and_as_arrays(parts, specification, seed, period_s):
     rng = np.random.default_rng(seed)
     samples = troubled(rng, 600, period_s * 1e9)
-    gate = Gate(specification, period_s)
-    whole_state, whole = gate.inspect(GateState(), samples)
-    state, parts = GateState(), []
+    whole_state, whole = Gate(specification, period_s).inspect(GateState(), samples)
+    gate, state, pieces = parts.Gate(specification, period_s), GateState(), []
     for rows in np.split(np.arange(600), np.sort(rng.integers(0, 600, 200))):
         flags = None if samples.flags is None else samples.flags[rows]
         part = Samples(samples.time_ns[rows], samples.voltage_V[rows], samples.current_A[rows], None, flags)
         state, gated = gate.inspect(state, part)
-        parts.append(gated)
+        pieces.append(gated)
     assert state == whole_state
     for name in Gated.__dataclass_fields__:
         if name != "ambient_C":
-            joined = np.concatenate([getattr(part, name) for part in parts])
+            joined = np.concatenate([getattr(part, name) for part in pieces])
             assert np.array_equal(joined, getattr(whole, name)), name

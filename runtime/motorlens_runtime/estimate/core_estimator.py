@@ -1,6 +1,7 @@
 """The estimator in the C core: the same samples, words and states as `estimator.Estimator`, in one call a block."""
 
 import ctypes
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,7 @@ class CoreEstimator(Estimator):
         observer = sensor.specification.observer
         self._observer = 0 if observer is None else len(observer.start())
         self._mismatch = False
-        self._few: _Block | None = None
+        self._few: _Few | None = None
         self._memory = StateMemory()
         self._address = ctypes.addressof(self._memory)
         backend.library.motorlens_start(backend.address, self._address, round(period_s * 1e9))
@@ -63,34 +64,23 @@ class CoreEstimator(Estimator):
     @property
     def state(self) -> EstimatorState:
         """All that is remembered, as Python's estimator holds it."""
-        memory, gate, n = self._memory, self._memory.gate, self._filters
-        ambient_C = float(gate.ambient_C)
+        memory, n = self._memory, self._filters
         return EstimatorState(
             BankState(int(memory.bank.count), np.array(memory.bank.before[:n]),
                       np.array([memory.bank.inside[:n], memory.bank.reach[:n]])),
-            GateState(
-                int(gate.first_ns) if gate.begun else None, int(gate.last_ns) if gate.begun else None, gate.voltage_V,
-                gate.current_A, 0.0 if np.isnan(ambient_C) else ambient_C, gate.bridged_until_ns, gate.count,
-                gate.current_since, gate.first_move, gate.dead_since, bool(gate.remembered),
-            ),
+            gate_state_of(memory.gate),
             self._mismatch,
             tuple(memory.observer[: self._observer]),
         )  # fmt: skip
 
     @state.setter
     def state(self, state: EstimatorState) -> None:
-        memory, gate, n = self._memory, state.gate, self._filters
+        memory, n = self._memory, self._filters
         memory.bank.count = state.bank.count
         memory.bank.before[:n] = state.bank.before.tolist()
         memory.bank.inside[:n], memory.bank.reach[:n] = state.bank.within.tolist()
         memory.bank.dt_s = -1.0  # the decays are another sensor's, or not known
-        into = memory.gate
-        into.begun = gate.last_ns is not None
-        into.first_ns, into.last_ns = gate.first_ns or 0, gate.last_ns or 0
-        into.remembered = gate.remembered
-        for name in ("voltage_V", "current_A", "ambient_C", "bridged_until_ns", "count", "current_since", "first_move",
-                     "dead_since"):  # fmt: skip
-            setattr(into, name, getattr(gate, name))
+        put_gate_state(memory.gate, state.gate)
         if len(state.observer) == self._observer:
             memory.observer[: self._observer] = state.observer
         self._mismatch = state.mismatch
@@ -102,9 +92,14 @@ class CoreEstimator(Estimator):
                 "the sensor needs the ambient temperature: give an ambient column, or --ambient DEGREES_C"
             )
         n, count = len(samples), self._memory.bank.count
-        looked_at = self.sensor.checker is not None and (count % _PERIOD < TILE or -count % _PERIOD < n)
-        estimates, features = self._pushed(samples, rows, looked_at)
-        disagree = None if features is None else self._disagreement_of(features, estimates, rows, count)
+        looked = None
+        if self.sensor.checker is not None and (count % _PERIOD < TILE or -count % _PERIOD < n):
+            number = count + (np.arange(n) if rows is None else rows)
+            looked = np.flatnonzero(number % _PERIOD < TILE)
+        if looked is None and n <= _FEW:
+            estimates, disagree = self._few_pushed(samples, rows), None
+        else:
+            estimates, disagree = self._many_pushed(samples, rows, looked)
         # Once two implementations have disagreed, neither is believed until the sensor is loaded again.
         if self._mismatch:
             mark(estimates.quality, slice(None), Quality.BACKEND_MISMATCH)
@@ -113,61 +108,95 @@ class CoreEstimator(Estimator):
             self._mismatch = True
         return estimates
 
-    def _pushed(
-        self, samples: Samples, rows: NDArray[np.intp] | None, with_features: bool
-    ) -> tuple[Estimates, NDArray[np.float64] | None]:
-        n = len(samples)
-        m = n if rows is None else len(rows)
-        if n <= _FEW and not with_features:
-            return self._few_pushed(samples, rows, n, m), None
-        block = _Block(n, m, self._outputs, self._features if with_features else 0)
-        estimates = block.push(self._core, self._address, samples, rows, n, m)
-        return estimates, block.features
-
-    def _few_pushed(self, samples: Samples, rows: NDArray[np.intp] | None, n: int, m: int) -> Estimates:
+    def _few_pushed(self, samples: Samples, rows: NDArray[np.intp] | None) -> Estimates:
         """A live line's samples, through arrays that are kept: finding the address of new ones takes as long as the rest."""
         if self._few is None:
-            self._few = _Block(_FEW, _FEW, self._outputs, 0)
-        few = self._few.push(self._core, self._address, samples, rows, n, m)
+            self._few = _Few(self._outputs)
+        few = self._few.push(self._core, self._address, samples, rows)
         return Estimates(few.time_ns.copy(), few.values.copy(), few.sigma.copy(), few.quality.copy())
 
-    def _disagreement_of(
-        self, features: NDArray[np.float64], estimates: Estimates, rows: NDArray[np.intp] | None, count: int
-    ) -> int | None:
-        """The first row where the second backend differs, among those at which it looks."""
+    def _many_pushed(
+        self, samples: Samples, rows: NDArray[np.intp] | None, looked: NDArray[np.intp] | None
+    ) -> tuple[Estimates, int | None]:
+        """The estimates, and the first row where the second backend differs, among the rows at which it looks."""
+        n = len(samples)
+        given: list[NDArray[Any] | None] = [
+            _as(samples.time_ns, np.int64), _as(samples.voltage_V, np.float64), _as(samples.current_A, np.float64),
+            _as(samples.ambient_C, np.float64), _as(samples.flags, np.uint32), _as(rows, np.int64),
+        ]  # fmt: skip
+        m = n if rows is None else len(rows)
+        values, sigma = np.empty((2, m, self._outputs))
+        quality = np.empty(m, dtype=np.uint32)
+        features = np.empty((0 if looked is None else len(looked), self._features))
+        table = BlockTable(
+            n, m, 0 if looked is None else _PERIOD, TILE, 0, *(None if a is None else a.ctypes.data for a in given),
+            values.ctypes.data, sigma.ctypes.data, quality.ctypes.data, features.ctypes.data,
+        )  # fmt: skip
+        _run(self._core, self._address, table, samples)
+        estimates = Estimates(
+            samples.time_ns if rows is None else samples.time_ns[rows], values, sigma, quality
+        )
+        if looked is None or not len(looked):
+            return estimates, None
         assert self.sensor.checker is not None
-        number = count + (np.arange(len(features)) if rows is None else rows)
-        looked = np.flatnonzero(number % _PERIOD < TILE)
-        if not len(looked):
-            return None
-        second, _ = self.sensor.checker.evaluate(tiled(features[looked].T, 0))
-        apart = np.abs(untiled(second)[:, : len(looked)].T - estimates.values[looked]) / self._scales
+        second, _ = self.sensor.checker.evaluate(tiled(features.T, 0))
+        apart = np.abs(untiled(second)[:, : len(looked)].T - values[looked]) / self._scales
         wrong = np.flatnonzero(~(apart <= CHECK_TOLERANCE).all(axis=1))
-        return int(looked[wrong[0]]) if len(wrong) else None
+        return estimates, int(looked[wrong[0]]) if len(wrong) else None
 
 
-class _Block:
-    """Arrays for `n` samples and `m` rows of K outputs, and where the core finds them."""
+def gate_state_of(gate: Any) -> GateState:
+    """What the core's gate remembers, as Python's holds it."""
+    ambient_C = float(gate.ambient_C)
+    return GateState(
+        int(gate.first_ns) if gate.begun else None, int(gate.last_ns) if gate.begun else None, gate.voltage_V,
+        gate.current_A, 0.0 if np.isnan(ambient_C) else ambient_C, gate.bridged_until_ns, gate.count,
+        gate.current_since, gate.first_move, gate.dead_since, bool(gate.remembered),
+    )  # fmt: skip
 
-    def __init__(self, n: int, m: int, outputs: int, features: int) -> None:
-        self.time_ns = np.empty(n, dtype=np.int64)
-        self.voltage_V, self.current_A, self.ambient_C = np.empty((3, n))
-        self.flags, self.rows = np.empty(n, dtype=np.uint32), np.empty(m, dtype=np.int64)
-        self.values, self.sigma = np.empty((2, m, outputs))
-        self.quality = np.empty(m, dtype=np.uint32)
-        self.features = np.empty((m, features)) if features else None
+
+def put_gate_state(into: Any, gate: GateState) -> None:
+    """The same the other way."""
+    into.begun = gate.last_ns is not None
+    into.first_ns, into.last_ns = gate.first_ns or 0, gate.last_ns or 0
+    into.remembered = gate.remembered
+    for name in ("voltage_V", "current_A", "ambient_C", "bridged_until_ns", "count", "current_since", "first_move",
+                 "dead_since"):  # fmt: skip
+        setattr(into, name, getattr(gate, name))
+
+
+def _as(values: NDArray[Any] | None, kind: Any) -> NDArray[Any] | None:
+    return None if values is None else np.ascontiguousarray(values, dtype=kind)
+
+
+def _run(core: CoreBackend, state: int, table: Any, samples: Samples) -> None:
+    """One call of the core. Raises DataError where time runs backwards; the state is then as before."""
+    wrong = core.library.motorlens_push(core.address, state, ctypes.addressof(table))
+    if wrong:
+        raise DataError(f"time runs backwards at {samples.time_ns[wrong - 1] * 1e-9:.6f} s")
+
+
+class _Few:
+    """Arrays for a few samples and rows of K outputs, and where the core finds them."""
+
+    def __init__(self, outputs: int) -> None:
+        self.time_ns = np.empty(_FEW, dtype=np.int64)
+        self.voltage_V, self.current_A, self.ambient_C = np.empty((3, _FEW))
+        self.flags, self.rows = np.empty(_FEW, dtype=np.uint32), np.empty(_FEW, dtype=np.int64)
+        self.values, self.sigma = np.empty((2, _FEW, outputs))
+        self.quality = np.empty(_FEW, dtype=np.uint32)
         self._addresses = {name: getattr(self, name).ctypes.data for name in ("ambient_C", "flags", "rows")}
         self._table = BlockTable(
-            self.time_ns.ctypes.data, self.voltage_V.ctypes.data, self.current_A.ctypes.data, None, None, None,
-            self.values.ctypes.data, self.sigma.ctypes.data, self.quality.ctypes.data,
-            None if self.features is None else self.features.ctypes.data,
+            0, 0, 0, TILE, 0, self.time_ns.ctypes.data, self.voltage_V.ctypes.data, self.current_A.ctypes.data, None, None,
+            None, self.values.ctypes.data, self.sigma.ctypes.data, self.quality.ctypes.data, None,
         )  # fmt: skip
-        self._address = ctypes.addressof(self._table)
 
     def push(
-        self, core: CoreBackend, state: int, samples: Samples, rows: NDArray[np.intp] | None, n: int, m: int
+        self, core: CoreBackend, state: int, samples: Samples, rows: NDArray[np.intp] | None
     ) -> Estimates:
-        """The estimates, in this block's memory. Raises DataError where time runs backwards; the state is then as before."""
+        """The estimates, in this block's memory."""
+        n = len(samples)
+        m = n if rows is None else len(rows)
         table, addresses = self._table, self._addresses
         self.time_ns[:n], self.voltage_V[:n], self.current_A[:n] = (
             samples.time_ns, samples.voltage_V, samples.current_A,
@@ -179,8 +208,7 @@ class _Block:
         if rows is not None:
             self.rows[:m] = rows
         table.rows = None if rows is None else addresses["rows"]
-        wrong = core.library.motorlens_push_block(core.address, state, self._address, n, m)
-        if wrong:
-            raise DataError(f"time runs backwards at {samples.time_ns[wrong - 1] * 1e-9:.6f} s")
+        table.n, table.m = n, m
+        _run(core, state, table, samples)
         time_ns = self.time_ns[:n] if rows is None else samples.time_ns[rows]
         return Estimates(time_ns, self.values[:m], self.sigma[:m], self.quality[:m])

@@ -75,10 +75,10 @@ def infer(
                     if first_missing is None and len(missing):
                         first_missing = rows + int(missing[0])
                     rows += len(estimates)
-                    for word, times in zip(*np.unique(estimates.quality, return_counts=True), strict=True):
-                        reasons.update(
-                            {bit.name.lower(): int(times) for bit in Quality if bit & int(word) and bit.name}
-                        )
+                    any_of_them = int(np.bitwise_or.reduce(estimates.quality))
+                    for bit in Quality:
+                        if bit & any_of_them and bit.name:
+                            reasons[bit.name.lower()] += int(np.count_nonzero(estimates.quality & bit))
                     progress.update(block.position)
         finally:
             publisher.close()

@@ -73,9 +73,14 @@ class ParquetPublisher:
             *((name, pa.float64()) for name in headings),
             ("quality", pa.uint32()),
         ]
-        self._schema = pa.schema(fields, metadata=_about(header))
-        # Noise does not repeat: a dictionary per column only costs time.
-        self._writer = pq.ParquetWriter(path, self._schema, use_dictionary=["quality"], compression="lz4")
+        self._schema = pa.schema(
+            [pa.field(name, kind, nullable=False) for name, kind in fields], metadata=_about(header)
+        )
+        # Noise does not repeat: a dictionary or a compression of such a column only costs time.
+        self._writer = pq.ParquetWriter(
+            path, self._schema, use_dictionary=["quality"], write_statistics=["time_s", "quality"],
+            compression={"time_s": "lz4", **dict.fromkeys(headings, "none"), "quality": "lz4"},
+        )  # fmt: skip
         self._waiting: list[Estimates] = []
         self._rows = 0
 

@@ -13,7 +13,7 @@ from motorlens_runtime.sensor.tables import Argument, Program, Tables
 Array = NDArray[np.float64]
 
 # What the PC's shared object has beyond the core.
-_NOT_EXPORTED = ("shared.c", "motorlens_config.h")
+_NOT_EXPORTED = ("shared.c", "decimal_text.c", "motorlens_config.h")
 _PER_LINE = 8
 
 

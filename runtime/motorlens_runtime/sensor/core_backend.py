@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import ModelError
+from motorlens_runtime.estimate.gate import GateLimits
 from motorlens_runtime.sensor.backend import TILE
 from motorlens_runtime.sensor.core_library import (
     ArgumentTable,
@@ -72,11 +73,7 @@ class CoreBackend:
         return ctypes.addressof(array)
 
     def _sensor(self, t: Tables) -> Any:
-        gate = GateTable(
-            t.gate.warm_up_ns, t.gate.cold_ns, t.gate.first_dt_ns, t.gate.slowest_ns, t.gate.fastest_ns, *t.gate.range,
-            t.gate.absurd_V, t.gate.absurd_A, t.gate.move_V, t.gate.flowing_A, t.gate.noise_A, t.gate.slew_A_ns,
-            t.gate.repeats, t.needs_ambient,
-        )  # fmt: skip
+        gate = gate_table(t.gate, t.needs_ambient)
         first, second = zip(*t.factors, strict=True) if t.factors else ((), ())
         features = FeatureTable(
             len(t.factors), len(t.tau_s), len(t.plus), self._array(first, np.uint8), self._array(second, np.uint8),
@@ -122,6 +119,14 @@ class CoreBackend:
             self._structures(OperationTable, steps), self._array(program.constants, np.float64),
             self._array(program.outputs, np.uint16), len(steps), program.registers, program.inputs, len(program.outputs),
         )  # fmt: skip
+
+
+def gate_table(g: GateLimits, needs_ambient: bool) -> Any:
+    """The limits of the gate where the core reads them."""
+    return GateTable(
+        g.warm_up_ns, g.cold_ns, g.first_dt_ns, g.slowest_ns, g.fastest_ns, *g.range, g.absurd_V, g.absurd_A, g.move_V,
+        g.flowing_A, g.noise_A, g.slew_A_ns, g.repeats, needs_ambient,
+    )  # fmt: skip
 
 
 def _check_room(tables: Tables) -> None:

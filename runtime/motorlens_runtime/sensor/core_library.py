@@ -147,10 +147,20 @@ def _loaded(path: Path) -> Core:
             return Core(None, reason=f"{path} is of another version of motorlens")
         library.motorlens_start.argtypes = [pointer, pointer, i64]
         library.motorlens_start.restype = None
-        library.motorlens_push_block.argtypes = [pointer, pointer, pointer, i64, i64]
-        library.motorlens_push_block.restype = i64
+        library.motorlens_push.argtypes = [pointer, pointer, pointer]
+        library.motorlens_push.restype = i64
         library.motorlens_link_feed.argtypes = [pointer, ctypes.c_char_p, i64, i64, pointer, pointer]
         library.motorlens_link_feed.restype = i64
+        library.motorlens_decimal_table.argtypes = [
+            ctypes.c_char_p,
+            i64,
+            i32,
+            ctypes.c_char,
+            pointer,
+            i64,
+            pointer,
+        ]
+        library.motorlens_decimal_table.restype = i64
         library.motorlens_evaluate_features.argtypes = [pointer, i64, *[pointer] * 3]
         library.motorlens_evaluate_features.restype = None
     except (OSError, AttributeError) as error:
@@ -226,7 +236,7 @@ StateMemory = _structure(
     failed=i32,
 )
 BlockTable = _structure(
-    "BlockTable", **{
+    "BlockTable", n=i64, m=i64, look_every=i64, look_length=i64, looked=i64, **{
         name: pointer for name in ("time_ns", "voltage_V", "current_A", "ambient_C", "flags", "rows", "estimate", "sigma",
                                    "quality", "features")
     }
