@@ -46,6 +46,7 @@ class World:
         since: motor -> the first recording (0, 1, ...) at which it is broken.
         poor: every so manieth motor has poor recordings only; 0 is none.
         period_s, samples, dwell: of a recording, see `plain_motor.Test`.
+        heated_s, heated_samples: of the last recording of each motor, which is longer and warms it up; 0 s: as the others.
     """
 
     motors: int
@@ -57,6 +58,8 @@ class World:
     period_s: float = 5e-3
     samples: int = 1200
     dwell: int = 100
+    heated_s: float = 0.0
+    heated_samples: int = 3000
 
     def typical(self) -> dict[str, float]:
         """The medians of the make."""
@@ -79,18 +82,19 @@ class World:
                 motor[key] = motor[key] + change if key in EFFECTS else motor[key] * change
         for key, sd in WANDERS.items():
             motor[key] *= float(np.exp(sd * rng.standard_normal()))
-        n = self.samples
+        heated = self.heated_s and recording == self.recordings - 1
+        period_s, n = (self.heated_s, self.heated_samples) if heated else (self.period_s, self.samples)
         levels = n // self.dwell + 1
         voltage = np.repeat(rng.uniform(-RATED["voltage"], RATED["voltage"], levels), self.dwell)[:n]
         load = np.repeat(rng.uniform(0.0, RATED["load_torque"], levels), self.dwell)[:n] * np.sign(voltage)
-        states = simulated(motor, voltage, load, self.period_s)
+        states = simulated(motor, voltage, load, period_s)
         truth = {
             "voltage": voltage, "load_torque": load, "current": states[:, 0], "speed": states[:, 1],
             "temperature": AMBIENT_C + states[:, 2],
         }  # fmt: skip
         noise = POOR if self.poor and number % self.poor == self.poor - 1 else GOOD
         columns = {q: y + noise * RATED[q] * rng.standard_normal(n) for q, y in truth.items()}
-        return {"time": np.arange(n) * self.period_s, **columns, "ambient": np.full(n, AMBIENT_C)}
+        return {"time": np.arange(n) * period_s, **columns, "ambient": np.full(n, AMBIENT_C)}
 
     def write(self, folder: Path, seed: int) -> None:
         """All recordings, as FOLDER/motor_017/2025-03-07.csv."""
@@ -98,8 +102,9 @@ class World:
             place = folder / f"motor_{number:03d}"
             place.mkdir(parents=True, exist_ok=True)
             for recording in range(self.recordings):
-                day = FIRST + timedelta(days=EVERY_DAYS * recording)
-                write(self.recorded(number, recording, seed), place / f"{day}.csv")
+                path = place / f"{FIRST + timedelta(days=EVERY_DAYS * recording)}.csv"
+                if not path.exists():
+                    write(self.recorded(number, recording, seed), path)
 
 
 UNITS = {
@@ -122,7 +127,9 @@ def write(columns: Mapping[str, Array], path: Path) -> None:
 
 def simulated(motor: Mapping[str, float], voltage: Array, load: Array, period_s: float) -> Array:
     """(N, 3) current, speed and rise of the winding, from rest and cold; inputs hold between samples."""
-    steps = max(1, int(np.ceil(period_s / (0.1 * motor["L"] / motor["R_a0"]))))
+    # Where nothing of the current's own course is seen between samples, steps need only be stable.
+    share = 0.1 if period_s < 10 * motor["L"] / motor["R_a0"] else 0.5
+    steps = max(1, int(np.ceil(period_s / (share * motor["L"] / motor["R_a0"]))))
     values = np.array([motor[key] for key in (*TYPICAL, *EFFECTS)])
     return np.asarray(_integrated(values, voltage, load, period_s, steps))
 
@@ -140,15 +147,22 @@ def _rates(p, x, v, load, out):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _integrated(p, voltage, load, period, steps):  # type: ignore[no-untyped-def]
     n = len(voltage)
-    out, x = np.zeros((n, 3)), np.zeros(3)
+    out, x, y = np.zeros((n, 3)), np.zeros(3), np.zeros(3)
     k1, k2, k3, k4 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     h = period / steps
     for k in range(n - 1):
         for _ in range(steps):
             _rates(p, x, voltage[k], load[k], k1)
-            _rates(p, x + 0.5 * h * k1, voltage[k], load[k], k2)
-            _rates(p, x + 0.5 * h * k2, voltage[k], load[k], k3)
-            _rates(p, x + h * k3, voltage[k], load[k], k4)
-            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            for j in range(3):
+                y[j] = x[j] + 0.5 * h * k1[j]
+            _rates(p, y, voltage[k], load[k], k2)
+            for j in range(3):
+                y[j] = x[j] + 0.5 * h * k2[j]
+            _rates(p, y, voltage[k], load[k], k3)
+            for j in range(3):
+                y[j] = x[j] + h * k3[j]
+            _rates(p, y, voltage[k], load[k], k4)
+            for j in range(3):
+                x[j] += h / 6.0 * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j])
         out[k + 1] = x
     return out

@@ -92,16 +92,45 @@ def estimate(
     point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, model, runs, runs, prior, progress)
     point = at(replace(point.model, tolerance=model.tolerance), _with_converters_and_shaft(point), prior)
-    point, gram, left = minimised(point, prior, progress, outliers=True)
-    # Only where it ends does scatter between blocks tell of what is missing; on the way it is the parameters that are wrong.
-    tempered = point.tempered()
-    if tempered.inflation > 1.0:
-        point, gram, left = minimised(tempered, prior, progress, outliers=True)
+    point, gram, left = _tempered(point, prior, progress)
     found = _concluded(point, prior, gram, left)
     said = findings(found.fit)
     if said.told and said.untold and _shifted(found, said):
         found = _put_back(found, point, said, progress)
     return replace(found, runs=_followed(found.fit.model, found.runs))
+
+
+def beside(
+    model: Model, runs: Sequence[Run], prior: Prior, progress: Callable[[str], None] = lambda text: None
+) -> Estimate:
+    """An estimate near one that was made before: other things are known of the parameters, timing stays as it was found.
+
+    Args:
+        model: where to begin, and how inputs ran between samples.
+        runs: prepared recordings, delays taken out, with their noise.
+        prior: the free parameters.
+        progress: told what goes on.
+
+    Raises:
+        ModelError: the motor cannot be simulated where it starts.
+    """
+    noises = [run.noise for run in runs if run.noise is not None]
+    point = from_noise(model, runs, noises, prior.keys)
+    point = at(model, _with_converters_and_shaft(point), prior)
+    point, gram, left = _tempered(point, prior, progress, trusted=TRUSTED)
+    return _concluded(point, prior, gram, left)
+
+
+def _tempered(
+    point: Weighed, prior: Prior, progress: Callable[[str], None], *, trusted: int = 0
+) -> tuple[Weighed, Array, float]:
+    """The best parameters from a point, what no noise explains weighed as little as it tells."""
+    point, gram, left = minimised(point, prior, progress, outliers=True, trusted=trusted)
+    # Only where it ends does scatter between blocks tell of what is missing; on the way it is the parameters that are wrong.
+    tempered = point.tempered()
+    if tempered.inflation > 1.0:
+        point, gram, left = minimised(tempered, prior, progress, outliers=True)
+    return point, gram, left
 
 
 def _with_converters_and_shaft(near: Weighed) -> Weighed:

@@ -94,13 +94,12 @@ class Population:
         return self._natural(phi, variance)
 
     def alone(self) -> tuple[Array, Array]:
-        """(M, k) the same from the recordings of each motor alone, and what was known beforehand."""
-        information = np.zeros((len(self.motors), len(self.keys), len(self.keys)))
-        vector = np.zeros((len(self.motors), len(self.keys)))
-        np.add.at(information, self.data.motor, self.data.information)
-        np.add.at(vector, self.data.motor, self.data.vector)
-        covariance = np.linalg.inv(information + np.diag(self.known**-2))
-        phi = np.einsum("mij,mj->mi", covariance, vector)
+        """(M, k) the same from the recordings of each motor alone, and what was known beforehand.
+
+        By how much recordings of one motor differ is taken from all: a motor's own few do not tell it.
+        """
+        covariance = np.linalg.inv(self.solved.motor_information + np.diag(self.known**-2))
+        phi = np.einsum("mij,mj->mi", covariance, self.solved.motor_vector)
         return self._natural(phi, np.diagonal(covariance, axis1=1, axis2=2))
 
     def interval(self) -> tuple[Array, Array]:

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.estimate.estimate import Estimate
-from motorlens_physics.estimate.fit import inverse
+from motorlens_physics.estimate.fit import inverse, start_model
 from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.model import Model
-from motorlens_physics.estimate.noise import OUTLIER
+from motorlens_physics.estimate.noise import OUTLIER, Noise
 from motorlens_physics.estimate.prior import NOTHING, Prior, part_prior
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed, weighed
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import sensor_models
@@ -135,6 +136,48 @@ def parabola(found: Estimate, names: Sequence[str] = ()) -> Parabola:
     slope = _slopes(information, slope, known, switch, weaker, wider)
     keys = tuple(key for key in prior.keys if "@" not in key)
     return Parabola(keys, np.array([values[key] for key in keys]), slope, weaker)
+
+
+def ended(found: Estimate) -> dict[str, Any]:
+    """Where the estimate of one recording ended, for a result file: from there it can go on."""
+    run, model = found.runs[0], found.fit.model
+    assert run.noise is not None
+    return {
+        "values": {key: model.values()[key] for key in found.fit.prior.keys},
+        "held": list(model.held[0]),
+        "late": dict(run.late),
+        "noise": {
+            "channels": run.noise.channels.tolist(), "disturbances": run.noise.disturbances.tolist(),
+            "lasts_s": run.noise.lasts_s,
+        },
+    }  # fmt: skip
+
+
+def where_it_ended(
+    end: Mapping[str, Any], file: MotorFile, runs: Sequence[Run], prior: Prior
+) -> tuple[Model, tuple[Run, ...]]:
+    """A motor file's model and a prepared recording where an estimate of it ended.
+
+    Args:
+        end: see `ended`.
+        file: the motor, with what is known of it now.
+        runs: the recording, one.
+        prior: the parameters that are free now.
+    """
+    (run,), told = runs, end["noise"]
+    for channel, samples in end["late"].items():
+        run = run.delayed(channel, samples)
+    channels, disturbances = (np.array(told[name]) for name in ("channels", "disturbances"))
+    # Its limits are those of the recording, see `Noise.like`.
+    noise = Noise(channels, disturbances, disturbances, told["lasts_s"], channels)
+    # What had gone where nothing is any more begins at the nearest.
+    values = {
+        key: float(np.clip(value, *prior.bounds[key]))
+        for key, value in end["values"].items()
+        if key in prior.keys
+    }
+    held: Any = tuple(end["held"])
+    return replace(start_model(file, runs), held=(held,)).with_values(values), (replace(run, noise=noise),)
 
 
 def _without(gram: Array, gradient: Array, own: NDArray[np.bool_]) -> tuple[Array, Array]:

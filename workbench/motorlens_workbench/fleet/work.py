@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.estimate import Estimate, beside, estimate
 from motorlens_physics.estimate.free_run import free_runs, free_runs_of
+from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF, prepare_all
 from motorlens_physics.motor_file import MotorFile, to_toml
-from motorlens_physics.recording import read_recording
+from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.errors import DataError, MotorlensError
-from motorlens_workbench.fleet.store import code_version, digest
-from motorlens_workbench.fleet.summary import candidates, parabola
+from motorlens_workbench.fleet.store import canonical, code_version, digest
+from motorlens_workbench.fleet.summary import candidates, ended, parabola, where_it_ended
 
 SCHEMA = "motorlens.fleet.recording/1"
 
@@ -53,15 +54,57 @@ class Job:
             SCHEMA.encode(), code_version().encode(), how.encode(), self.path.suffix.encode(), *content
         )
 
+    def recording(self) -> Recording:
+        """Read it. Raises DataError: it is none."""
+        return read_recording(self.path, self.columns, self.no_values)
 
-def analysed(job: Job) -> dict[str, Any]:
+    def result(self) -> dict[str, Any]:
+        """What it says of the motor, see `analysed`."""
+        return _fitted(self)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A recording that was fitted, to be fitted again beside what is known of its make.
+
+    Attributes:
+        job: as it was fitted.
+        make: what may be expected of a motor.
+        before: the result then.
+    """
+
+    job: Job
+    make: MotorFile
+    before: Mapping[str, Any]
+
+    @property
+    def path(self) -> Path:
+        """Of the recording."""
+        return self.job.path
+
+    def key(self) -> str:
+        """The name of its result. Raises OSError: the recording cannot be read."""
+        return digest(
+            SCHEMA.encode(), self.job.key().encode(), to_toml(self.make).encode(), canonical(self.before)
+        )
+
+    def result(self) -> dict[str, Any]:
+        """The same of the motor, from where it is likelier, see `analysed`."""
+        runs = prepare_all([self.job.recording()], self.make)
+        prior = base_prior(self.make, runs)
+        found = beside(*where_it_ended(self.before["end"], self.make, runs, prior), prior)
+        names = tuple(self.before["candidates"])
+        return {"schema": SCHEMA, "converged": found.converged, "parabola": parabola(found, names).as_json()}
+
+
+def analysed(job: Job | Beside) -> dict[str, Any]:
     """The result of a recording; where it or the model is at fault, {"failed": why}.
 
     Raises:
         OSError: the recording cannot be read now.
     """
     try:
-        return _analysed(job)
+        return job.result()
     except MotorlensError as error:
         # Without the path, which is no part of the content.
         return {
@@ -70,9 +113,10 @@ def analysed(job: Job) -> dict[str, Any]:
         }
 
 
-def _analysed(job: Job) -> dict[str, Any]:
-    recording = read_recording(job.path, job.columns, job.no_values)
-    runs = prepare_all([recording], job.file)
+def _fitted(job: Job) -> dict[str, Any]:
+    file = job.file
+    recording = job.recording()
+    runs = prepare_all([recording], file)
     run = runs[0]
     if not any(
         np.ptp(run.measured[run.there[:, c], c]) > 0
@@ -80,11 +124,11 @@ def _analysed(job: Job) -> dict[str, Any]:
         if run.there[:, c].any()
     ):
         raise DataError("nothing can be told; no current, speed or temperature ever changes")
-    found = estimate(job.file, runs)
+    found = estimate(file, runs)
     said = findings(found.fit)
     if not said.told:
         raise DataError("nothing can be told; the recording leaves every parameter where it was")
-    names = candidates(job.file, run.channels)
+    names = candidates(file, run.channels)
     document = {
         "schema": SCHEMA,
         "seconds": float(recording.time_s[-1] - recording.time_s[0]),
@@ -94,13 +138,14 @@ def _analysed(job: Job) -> dict[str, Any]:
         "converged": found.converged,
         "outliers": found.outliers,
         "parameters": {
-            key: {"value": said.value[key], "sd": said.sd[key], "unit": job.file.meaning(key).unit, "told": key in said.told}
+            key: {"value": said.value[key], "sd": said.sd[key], "unit": file.meaning(key).unit, "told": key in said.told}
             for key in said.keys
         },
         "sentences": [*said.at_bound.values(), *said.confounded],
         "fitted": _errors(found),
         "parabola": parabola(found, names).as_json(),
         "candidates": list(names),
+        "end": ended(found),
     }  # fmt: skip
     if job.compare:
         beside = free_runs(job.file, runs)[1][0]
