@@ -23,7 +23,9 @@ from motorlens_runtime.errors import DataError
 from motorlens_workbench.balances import lowpass
 from motorlens_workbench.comparison import compare
 from motorlens_workbench.report.comparison import to_html, to_json
-from motorlens_workbench.report.pictures import packed, time_plots
+from motorlens_workbench.report.page import Page, Section
+from motorlens_workbench.report.pictures import Axes, Line, packed, time_plots
+from motorlens_workbench.report.thinning import thinned
 
 PAPER = read_motor_file(Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml")
 # A 24 V servo motor: none of these figures is a default anywhere.
@@ -191,6 +193,35 @@ def test_the_page_stands_alone_and_holds_every_sample() -> None:
         assert np.array_equal(values, recording.channels[channel].astype(np.float32))
     stamps = time["time"]["start"] + time["time"]["step"] * np.arange(time["time"]["count"])
     assert np.abs(stamps - (recording.time_s - recording.time_s[0])).max() < 1e-3 * time["time"]["step"]
+
+
+def test_a_long_recording_is_thinned_to_its_peaks_and_says_so() -> None:
+    time = np.arange(0, 3000, 0.01)
+    rng = np.random.default_rng(3)
+    measured = np.sin(time / 50) + 0.1 * rng.standard_normal(len(time))
+    model = np.sin(time / 50)
+    measured[[123_457, 200_001]] = 9.0, -7.0
+    model[77_777] = 5.0
+    measured[5_000:5_400] = np.nan
+    lines = [Line("measured", "measured", "m"), Line("predicted", "predicted", "p")]
+    axes = [Axes("speed", "rad/s", lines), Axes("error", "rad/s", [Line("error", "lacking", "m", "p")])]
+    plot = time_plots("long", time, axes, {"m": measured, "p": model}, {"speed": "m"}, caption="Long.")
+    few = thinned(plot, 2000)
+    at = np.searchsorted(time, few.data["time_s"] - 1e-9)
+    assert 1000 < len(at) <= 2500 and {0, 123_457, 200_001, 77_777, len(time) - 1} <= set(at.tolist())
+    # What is there is the recording's own, all lines of one sample together.
+    np.testing.assert_allclose(few.data["time_s"], time[at], rtol=1e-12)
+    np.testing.assert_array_equal(few.data["m"], measured[at])
+    np.testing.assert_array_equal(few.data["p"], model[at])
+    for begin in range(0, len(time), 30_000):
+        # No peak is lost: what is at least a stretch away from both ends is not above what is kept between them.
+        inside = at[(at >= begin) & (at < begin + 30_000)]
+        assert np.nanmax(measured[inside]) >= np.nanmax(measured[begin + 2_000 : begin + 28_000])
+        assert np.nanmin(measured[inside]) <= np.nanmin(measured[begin + 2_000 : begin + 28_000])
+    assert "Of 300000 samples" in few.caption and thinned(plot, 400_000) is plot
+    whole = Page("t", "v", [], [Section("s", [plot, plot])], [])
+    assert 200_000 < len("".join(whole)) < 1_500_000
+    assert "Every sample is here." in "".join(replace(whole, budget_octets=1e8))
 
 
 def test_uneven_stamps_are_kept_one_by_one() -> None:

@@ -243,8 +243,12 @@ def _removable(
         size = block(recording) * rows.every
         sigma = overlay.noise / np.sqrt(size)
         kept = rows.fresh()
-        shown = [rows.average(curve.columns(line)) for curve in free]
-        columns = np.concatenate(shown, axis=2)[kept] / sigma[None, :, None]
+        columns, at = np.empty((int(kept.sum()), len(sigma), len(owner))), 0
+        for curve in free:
+            columns[:, :, at : at + curve.width] = (
+                rows.average(curve.columns(line))[kept] / sigma[None, :, None]
+            )
+            at += curve.width
         error = replace(overlay.run, every=size).average(overlay.error)[kept] / sigma
         flat = columns.reshape(-1, len(owner))
         gram += flat.T @ flat

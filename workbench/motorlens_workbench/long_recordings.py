@@ -1,7 +1,7 @@
 """Long recordings beside a model: what is no matter of the motor is found in two parts, then the model runs along all of it.
 
 The start is found in the first samples. Delays, how the inputs ran between samples, and the noise are found where the inputs
-change most: at rest nothing of that shows. Both are told as well by some tens of thousands of samples as by a million. What
+change most: at rest nothing of that shows. Both are told as well by some thousands of samples as by a million. What
 would take an error away is looked for along the means of blocks: the linear problem takes kilobytes a sample.
 """
 
@@ -21,7 +21,7 @@ from motorlens_runtime.files.words import WORDS
 Array = NDArray[np.float64]
 
 # A recording of more samples is long; so many samples has each of its parts, and so many blocks its means.
-LONG, PART, BLOCKS = 60_000, 15_000, 15_000
+LONG, PART, BLOCKS = 60_000, 8_000, 15_000
 
 
 def is_long(recording: Recording) -> bool:

@@ -143,8 +143,7 @@ def _by_arrow(
         ):
             for batch in batches:
                 for k in used:
-                    # Not by `to_numpy`, which imports pandas wherever that is installed.
-                    parts[k].append(np.asarray(batch.column(names[k]).fill_null(np.nan)))
+                    parts[k].append(_numbers(batch.column(names[k])))
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
         return None
     last = body.end().rstrip().rpartition(b"\n")[2].decode(errors="replace").strip()
@@ -157,6 +156,15 @@ def _by_arrow(
     columns = {k: np.concatenate(parts.pop(k) or [np.empty(0)]) for k in used}
     pa.default_memory_pool().release_unused()
     return columns
+
+
+def _numbers(column: Any) -> Array:
+    """(n,) of an Arrow column of float64, NaN where null; without Arrow's own functions, which load 40 MB."""
+    values = np.frombuffer(column.buffers()[1])[column.offset : column.offset + len(column)]
+    if not column.null_count:
+        return values.copy()
+    there = np.unpackbits(np.frombuffer(column.buffers()[0], dtype=np.uint8), bitorder="little")
+    return np.where(there[column.offset : column.offset + len(column)] > 0, values, np.nan)
 
 
 def _by_cell(

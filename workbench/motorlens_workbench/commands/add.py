@@ -14,6 +14,7 @@ from pathlib import Path
 
 from motorlens_physics.command_inputs import add_input_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
+from motorlens_workbench.telling import add_page_arguments, teller
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="impose current and speed as measured and look at the thermal equation alone (the voltage is not the motor's)",
     )
-    parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_page_arguments(parser)
     add_json_argument(parser)
 
 
@@ -53,7 +54,6 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_workbench.driven import driven, freed
     from motorlens_workbench.report.ladder import before_and_after, to_html, to_json, to_text
     from motorlens_workbench.report.page import write
-    from motorlens_workbench.telling import teller
 
     if Path(arguments.output).resolve() == Path(arguments.motor).resolve():
         raise DataError(
@@ -85,7 +85,11 @@ def run(arguments: argparse.Namespace) -> int:
         words += ["--force"] if arguments.force else []
         words += ["-o", arguments.output]
         overlays = before_and_after(found, fitted)
-        write(to_html(document, shlex.join(words), overlays), arguments.html)
+        write(
+            to_html(document, shlex.join(words), overlays),
+            arguments.html,
+            every_sample=arguments.every_sample,
+        )
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
         print_notes((*fitted, *judge))

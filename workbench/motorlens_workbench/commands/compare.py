@@ -12,12 +12,13 @@ import shlex
 
 from motorlens_physics.command_inputs import add_input_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
+from motorlens_workbench.telling import add_page_arguments, teller
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", nargs="+", metavar="REC", help="recordings: CSV, Parquet, MAT, MDF")
     add_input_arguments(parser)
-    parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_page_arguments(parser)
     add_json_argument(parser)
 
 
@@ -27,7 +28,6 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_workbench.long_recordings import is_long
     from motorlens_workbench.report.comparison import to_html, to_json, to_text
     from motorlens_workbench.report.page import write
-    from motorlens_workbench.telling import teller
 
     given = inputs_from(arguments)
     recordings = given.recordings(arguments.recordings)
@@ -37,7 +37,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.html:
         words = ["motorlens", "compare", *arguments.recordings, *input_words(arguments)]
         say("writing the page")
-        write(to_html(found, arguments.recordings, arguments.motor, shlex.join(words)), arguments.html)
+        write(
+            to_html(found, arguments.recordings, arguments.motor, shlex.join(words)),
+            arguments.html,
+            every_sample=arguments.every_sample,
+        )
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
         print_notes(recordings)

@@ -13,6 +13,7 @@ import shlex
 
 from motorlens_physics.command_inputs import add_input_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
+from motorlens_workbench.telling import add_page_arguments, teller
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="impose current and speed as measured and look at the thermal equation alone (the voltage is not the motor's)",
     )
-    parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_page_arguments(parser)
     add_json_argument(parser)
 
 
@@ -35,7 +36,6 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_workbench.driven import driven
     from motorlens_workbench.experiments import propose
     from motorlens_workbench.report.json import to_json, to_text
-    from motorlens_workbench.telling import teller
     from motorlens_workbench.verdict import settle
 
     given = inputs_from(arguments)
@@ -56,7 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
 
         words = ["motorlens", "diagnose", *arguments.recordings, *input_words(arguments)]
         words += ["--driven"] if arguments.driven else []
-        write(to_html(found, verdict, document, shlex.join(words)), arguments.html)
+        write(
+            to_html(found, verdict, document, shlex.join(words)),
+            arguments.html,
+            every_sample=arguments.every_sample,
+        )
     # Last, so that a reader who turns away (| head) loses no file.
     if arguments.json != "-":
         print_notes(recordings)

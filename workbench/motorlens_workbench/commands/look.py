@@ -11,6 +11,7 @@ import argparse
 import shlex
 
 from motorlens_runtime.cli import add_json_argument, write_json
+from motorlens_workbench.telling import add_page_arguments
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
     )
-    parser.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add_page_arguments(parser)
     add_json_argument(parser)
 
 
@@ -32,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.html:
         words = ["motorlens", "look", arguments.recording]
         words += [word for column in arguments.column for word in ("--column", column)]
-        write(to_html(sight, shlex.join(words)), arguments.html)
+        write(to_html(sight, shlex.join(words)), arguments.html, every_sample=arguments.every_sample)
     if arguments.json != "-":
         print(to_text(sight))
     if sight.error:

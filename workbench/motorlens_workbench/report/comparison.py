@@ -1,6 +1,6 @@
 """What `compare` found: as JSON, as a table for the terminal, and as a page."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +12,7 @@ from motorlens_physics.scenario import time_constants
 from motorlens_workbench.balances import EQUATIONS
 from motorlens_workbench.comparison import Comparison, remark
 from motorlens_workbench.report.overlay import overlay
-from motorlens_workbench.report.page import Section, page, significant
+from motorlens_workbench.report.page import Page, Section, significant, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Samples, Table, cloud, curves
 
 # Error in multiples of the noise at which the next colour of the map begins: 1 is as good as can be, and from 100 on the
@@ -26,7 +26,8 @@ def verdict(found: Comparison) -> str:
     """One sentence: how good the model is, and where it fails."""
     worst = found.worst
     channel = found.channels[worst]
-    size = f"{significant(channel.rmse)} {channel.unit} rms in {worst}, {channel.times_noise:.2g} times its noise"
+    times = significant(float(f"{channel.times_noise:.2g}"))
+    size = f"{significant(channel.rmse)} {unit_text(channel.unit)} rms in {worst}, {times} times its noise"
     if found.follows:
         return f"The model follows these recordings to their noise ({size})."
     named = [name for name, equation in found.equations.items() if equation.testable and equation.share > 0]
@@ -109,7 +110,7 @@ def to_text(found: Comparison) -> str:
     return "\n".join([*rows, *([""] if found.notes else []), *found.notes])
 
 
-def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: str) -> Iterator[str]:
+def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: str) -> Page:
     """The page of `--html`."""
     summary = [
         f"Motor file {motor}, run freely on {', '.join(recordings)}, driven by the measured inputs; nothing of the motor "
@@ -125,7 +126,7 @@ def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: s
         Section("At which time scale", _band_content(found)),
         Section("Numbers", [_channel_table(found)]),
     ]
-    return page(f"motorlens compare: {found.file.name}", verdict(found), summary, sections, [command])
+    return Page(f"motorlens compare: {found.file.name}", verdict(found), summary, sections, [command])
 
 
 def _overlays(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
@@ -247,7 +248,7 @@ def _cumulative(
 def _channel_table(found: Comparison) -> Table:
     rows = [
         [
-            name, c.unit, c.rmse, c.times_noise, c.fit_percent, c.bias, c.largest, c.noise_floor,
+            name, unit_text(c.unit), c.rmse, c.times_noise, c.fit_percent, c.bias, c.largest, c.noise_floor,
         ]
         for name, c in found.channels.items()
     ]  # fmt: skip

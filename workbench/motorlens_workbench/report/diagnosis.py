@@ -1,6 +1,6 @@
 """The diagnosis as one page: verdict sentence, pictures, numbers, how to reproduce it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.report.json import least_text, size_text
 from motorlens_workbench.report.overlay import overlay
-from motorlens_workbench.report.page import Section, page
+from motorlens_workbench.report.page import Page, Section
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Table, curves
 from motorlens_workbench.verdict import Verdict
 
@@ -34,7 +34,7 @@ BORDERS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 0.95, 0.99)
 Content = list[str | Table | Bars | Grid | Plot]
 
 
-def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command: str) -> Iterator[str]:
+def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command: str) -> Page:
     """The page of `--html`."""
     summary = [*_next_step(document), *document["cannot_tell"]]
     sections = []
@@ -48,7 +48,7 @@ def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command:
     if len(document["candidates"]) > 1:
         sections.append(Section("What looks alike", [_alike(found, document)]))
     sections.append(Section("Base parameters", [_parameters(found)]))
-    return page(
+    return Page(
         f"motorlens diagnose: {document['motor']}", document["sentence"], summary, sections, [command]
     )
 

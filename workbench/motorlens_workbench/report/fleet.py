@@ -1,6 +1,5 @@
 """What `fleet` found: as JSON, for the terminal, and as a page."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ from scipy.stats import norm
 from motorlens_workbench.fleet.history import Series
 from motorlens_workbench.fleet.odd import Difference, MakeEffect
 from motorlens_workbench.fleet.study import Fleet
-from motorlens_workbench.report.page import Section, page, significant, unit_text
+from motorlens_workbench.report.page import Page, Section, significant, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Plot, Table, curves
 
 # Motors shown as bars, and pictures of changes, on the page; tables hold them all.
@@ -119,7 +118,7 @@ def to_json(fleet: Fleet, motor: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def to_html(fleet: Fleet, motor: str, command: str) -> Iterator[str]:
+def to_html(fleet: Fleet, motor: str, command: str) -> Page:
     """The page."""
     found = fleet.population
     summary = _in_common(fleet)
@@ -141,7 +140,7 @@ def to_html(fleet: Fleet, motor: str, command: str) -> Iterator[str]:
         sections.append(
             Section("Recordings that could not be used", [Table(["recording", "motor", "why"], rows)])
         )
-    return page(f"motorlens fleet: {found.file.name}", verdict(fleet), summary, sections, [command])
+    return Page(f"motorlens fleet: {found.file.name}", verdict(fleet), summary, sections, [command])
 
 
 def make_sentence(fleet: Fleet, effect: MakeEffect) -> str:

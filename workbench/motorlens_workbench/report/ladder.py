@@ -1,7 +1,7 @@
 """The ladder of held-out error as JSON (schema motorlens.add/1), text and page."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from motorlens_physics.estimate.free_run import free_runs
@@ -9,7 +9,7 @@ from motorlens_physics.estimate.run import UNIT_OF, prepare_all
 from motorlens_physics.recording import Recording
 from motorlens_workbench.ladder import Ladder
 from motorlens_workbench.report.overlay import overlay
-from motorlens_workbench.report.page import Section, page
+from motorlens_workbench.report.page import Page, Section
 from motorlens_workbench.report.pictures import Bar, Bars, Grid, Plot, Table
 
 
@@ -89,7 +89,7 @@ def to_text(document: dict[str, Any]) -> str:
     return "\n".join(rows)
 
 
-def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = ()) -> Iterator[str]:
+def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = ()) -> Page:
     """The page of `--html`.
 
     Args:
@@ -120,7 +120,7 @@ def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = (
     sections.append(
         Section("Parameters", [Table(["parameter", "value", "standard deviation", "unit"], rows_)])
     )
-    return page(f"motorlens add {document['effect']}", sentence(document), [], sections, [command])
+    return Page(f"motorlens add {document['effect']}", sentence(document), [], sections, [command])
 
 
 def before_and_after(found: Ladder, recordings: Sequence[Recording]) -> list[Plot]:

@@ -60,7 +60,7 @@ def overlay(
     for equation, values in (lacks or {}).items():
         data[named[equation]] = values
     caption = (
-        f"{run.name}. Drag to zoom, double-click for all of it; every sample is here. The grey band is two standard "
+        f"{run.name}. Drag to zoom, double-click for all of it. The grey band is two standard "
         "deviations of the noise floor."
     )
     return time_plots(run.name, inputs.time_s, axes, data, states, named, caption)

@@ -2,9 +2,10 @@
 
 import html
 import json
+import math
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 
 from motorlens_runtime.web import asset, style
 from motorlens_workbench.report.pictures import Bars, Grid, Plot, Samples, Table, packed
+from motorlens_workbench.report.thinning import BUDGET_OCTETS, within
 
 SCRIPTS = (
     ("motorlens_runtime.web.uplot", "uPlot.iife.min.js"),
@@ -30,39 +32,57 @@ class Section:
     content: Sequence[str | Table | Bars | Grid | Plot]
 
 
-def page(
-    title: str, verdict: str, summary: Sequence[str], sections: Sequence[Section], commands: Sequence[str]
-) -> Iterator[str]:
-    """The whole page as HTML, piece by piece: a long recording is large.
+@dataclass(frozen=True)
+class Page:
+    """The whole page; iterating gives it as HTML, piece by piece.
 
-    Args:
+    Attributes:
         title: a small line above the verdict.
         verdict: the one sentence that matters.
         summary: what follows from it, a paragraph each.
         sections: pictures and numbers.
         commands: what to type to get this page again.
+        budget_octets: what the samples of its plots may take, see `thinning`.
     """
-    yield '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    yield f"<title>{_text(title)}</title><style>{style()}"
-    yield from (asset(*name).decode() for name in STYLES)
-    yield f'</style></head>\n<body><main class="report"><h1>{_text(title)}</h1>\n'
-    yield f'<p class="verdict">{_text(verdict)}</p>\n'
-    yield from (f"<p>{_text(paragraph)}</p>\n" for paragraph in summary)
-    plots: list[Plot] = []
-    for section in sections:
-        yield f"<section><h2>{_text(section.heading)}</h2>\n"
-        for item in section.content:
-            if isinstance(item, Plot):
-                plots.append(item)
-                yield f'<div class="picture" data-picture="{len(plots) - 1}"></div>{_caption(item.caption)}\n'
-            else:
-                yield f"<p>{_text(item)}</p>\n" if isinstance(item, str) else _shown(item) + "\n"
-        yield "</section>\n"
-    again = _text("\n".join(commands))
-    yield '<section class="again"><h2>To reproduce</h2><pre tabindex="0" role="region" aria-label="commands">'
-    yield f"{again}</pre></section>\n"
-    yield f'<p class="note">motorlens {version("motorlens")}</p></main>\n'
+
+    title: str
+    verdict: str
+    summary: Sequence[str]
+    sections: Sequence[Section]
+    commands: Sequence[str]
+    budget_octets: float = BUDGET_OCTETS
+
+    def __iter__(self) -> Iterator[str]:
+        yield '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        yield f"<title>{_text(self.title)}</title><style>{style()}"
+        yield from (asset(*name).decode() for name in STYLES)
+        yield f'</style></head>\n<body><main class="report"><h1>{_text(self.title)}</h1>\n'
+        yield f'<p class="verdict">{_text(self.verdict)}</p>\n'
+        yield from (f"<p>{_text(paragraph)}</p>\n" for paragraph in self.summary)
+        plots = within(
+            [item for s in self.sections for item in s.content if isinstance(item, Plot)], self.budget_octets
+        )
+        number = 0
+        for section in self.sections:
+            yield f"<section><h2>{_text(section.heading)}</h2>\n"
+            for item in section.content:
+                if isinstance(item, Plot):
+                    yield f'<div class="picture" data-picture="{number}"></div>{_caption(plots[number].caption)}\n'
+                    number += 1
+                else:
+                    yield f"<p>{_text(item)}</p>\n" if isinstance(item, str) else _shown(item) + "\n"
+            yield "</section>\n"
+        again = _text("\n".join(self.commands))
+        yield '<section class="again"><h2>To reproduce</h2><pre tabindex="0" role="region" aria-label="commands">'
+        yield f"{again}</pre></section>\n"
+        yield f'<p class="note">motorlens {version("motorlens")}</p></main>\n'
+        yield from _data(plots)
+        yield from (f"<script>{asset(*name).decode()}</script>\n" for name in SCRIPTS)
+        yield '<script>new Scene(document.querySelector("main"), document);</script></body></html>\n'
+
+
+def _data(plots: Sequence[Plot]) -> Iterator[str]:
     specs = []
     for k, plot in enumerate(plots):
         names = {name: f"data-{k}-{j}" for j, name in enumerate(plot.data)}
@@ -75,14 +95,12 @@ def page(
     # "</" inside a script would end it.
     described = json.dumps(specs, allow_nan=False).replace("</", "<\\/")
     yield f'<script type="application/json" id="pictures">{described}</script>\n'
-    yield from (f"<script>{asset(*name).decode()}</script>\n" for name in SCRIPTS)
-    yield '<script>new Scene(document.querySelector("main"), document);</script></body></html>\n'
 
 
-def write(pieces: Iterable[str], path: Path | str) -> None:
-    """Write a page to a file."""
+def write(page: Page, path: Path | str, *, every_sample: bool = False) -> None:
+    """Write a page to a file, with every sample of its recordings however large it then is, or as many as can be sent."""
     with Path(path).open("w", encoding="utf-8") as file:
-        file.writelines(pieces)
+        file.writelines(replace(page, budget_octets=math.inf) if every_sample else page)
 
 
 def significant(value: Any) -> str:
@@ -168,7 +186,7 @@ def _grid(item: Grid) -> str:
     bar = "".join(f'<li class="heat-{k}">{_text(step)}</li>' for k, step in enumerate(steps))
     caption = f"{_text(item.y)} (upwards), {_text(item.x)} (to the right)"
     return (
-        f'<div class="scroll" tabindex="0" role="group" aria-label="map"><table class="grid"><caption>{caption}</caption>'
+        f'<div class="scroll" tabindex="0" role="group" aria-label="map"><table class="grid"><caption><span>{caption}</span></caption>'
         f"<tbody>{''.join(rows)}</tbody><tfoot><tr><td></td>{feet}</tr></tfoot></table></div>"
         f'<p class="note">{_text(item.legend)}</p><ol class="colours">{bar}</ol>{_caption(item.caption)}'
     )

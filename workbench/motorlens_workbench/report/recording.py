@@ -1,6 +1,6 @@
 """What is in a recording, before it is used: columns, quantities, gaps, plots."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import understand, units_offered
 from motorlens_runtime.files.headings import QUANTITIES
-from motorlens_workbench.report.page import Section, page, significant, unit_text
+from motorlens_workbench.report.page import Page, Section, significant, unit_text
 from motorlens_workbench.report.pictures import Axes, Line, Plot, Table, time_plots
 
 # Values of a column that are shown.
@@ -105,7 +105,7 @@ def to_text(sight: Sight) -> str:
     return "\n".join(rows)
 
 
-def to_html(sight: Sight, command: str) -> Iterator[str]:
+def to_html(sight: Sight, command: str) -> Page:
     """The page of `--html`."""
     recording = sight.recording
     columns = Table(
@@ -117,8 +117,8 @@ def to_html(sight: Sight, command: str) -> Iterator[str]:
     notes: Sequence[str] = ()
     if recording is not None:
         notes = recording.notes
-        sections.insert(0, Section("All samples", [_plot(recording)]))
-    return page(f"motorlens look: {sight.name}", sentence(sight), notes, sections, [command])
+        sections.insert(0, Section("Samples", [_plot(recording)]))
+    return Page(f"motorlens look: {sight.name}", sentence(sight), notes, sections, [command])
 
 
 def _plot(recording: Recording) -> Plot:
@@ -127,9 +127,7 @@ def _plot(recording: Recording) -> Plot:
         for q in recording.channels
     ]
     states = {q: q for q in ("speed", "current", "temperature") if recording.has(q)}
-    caption = (
-        "Drag to zoom, double-click for all of it; every sample is here. Time runs from the first sample."
-    )
+    caption = "Drag to zoom, double-click for all of it. Time runs from the first sample."
     time = recording.time_s - recording.time_s[0]
     return time_plots(recording.name, time, axes, recording.channels, states, caption=caption)
 

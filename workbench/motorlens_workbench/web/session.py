@@ -98,7 +98,7 @@ class Session:
                 self.file(step.number, kind).unlink(missing_ok=True)
             self._steps.append(step)
             self._save()
-            self._job = Job((*words, *files), lambda job: self._ended(step, job))
+            self._job = Job((*words, *files, "--every-sample"), lambda job: self._ended(step, job))
             return step
 
     def cancel(self) -> None:
