@@ -183,8 +183,16 @@ def test_a_file_is_brought_in_looked_at_mapped_and_a_range_of_it_picked(browser,
         row = page.locator("#look-result tr", has_text="Motor Voltage measured")
         first = (folder / "odd.csv").read_text().splitlines()[1].split(",")[1]
         assert f"{float(first):.4g}" in row.inner_text()
-        page.get_by_label("what Motor Voltage measured is").select_option("voltage")
+        # Computed from what is there, or simply one of the columns.
+        page.get_by_label("what is computed").select_option("voltage")
+        page.get_by_label("formula over the columns").fill("Motor Voltage measured*1")
+        page.get_by_role("button", name="Use it").click()
         assert "1001 samples" in ended(page, "look", re.compile("samples"))
+        assert page.get_by_label("formula over the columns").input_value() == "Motor Voltage measured*1"
+        page.get_by_label("what Motor Voltage measured is").select_option("voltage")
+        page.locator("#look-result .command", has_text="'voltage=Motor Voltage measured'").wait_for(
+            timeout=STEP_MS
+        )
         page.get_by_label("what n is").select_option("speed")
         ended(page, "look", re.compile("speed"))
         page.get_by_label("unit of n").select_option("rpm")

@@ -184,9 +184,9 @@ def _grid(item: Grid) -> str:
     steps = ["below " + significant(item.borders[0])]
     steps += [f"from {significant(border)}" for border in item.borders]
     bar = "".join(f'<li class="heat-{k}">{_text(step)}</li>' for k, step in enumerate(steps))
-    caption = f"{_text(item.y)} (upwards), {_text(item.x)} (to the right)"
+    caption = f"<span>{_text(item.y)} (upwards), {_text(item.x)} (to the right)</span>"
     return (
-        f'<div class="scroll" tabindex="0" role="group" aria-label="map"><table class="grid"><caption><span>{caption}</span></caption>'
+        f'<div class="scroll" tabindex="0" role="group" aria-label="map"><table class="grid"><caption>{caption}</caption>'
         f"<tbody>{''.join(rows)}</tbody><tfoot><tr><td></td>{feet}</tr></tfoot></table></div>"
         f'<p class="note">{_text(item.legend)}</p><ol class="colours">{bar}</ol>{_caption(item.caption)}'
     )

@@ -53,7 +53,10 @@ const Files = {
 
   show() {
     const {there, chosen} = this;
-    $("motor").replaceChildren(...there.motors.map(entry => new Option(entry.name)));
+    // A file from elsewhere by its name alone, unless another is called so.
+    const short = name => name.startsWith("/") ? name.split("/").pop().replace(/\.toml$/, "") : name, names = there.motors.map(entry => entry.name);
+    $("motor").replaceChildren(...names.map(name => new Option(names.filter(other => short(other) === short(name)).length > 1 ? name : short(name), name)));
+    $("motor").title = chosen.motor;
     if (!there.motors.length) $("motor").append(new Option("no motor file here", ""));
     $("motor").value = chosen.motor;
     $("voltage_commanded").checked = chosen.voltage_commanded;

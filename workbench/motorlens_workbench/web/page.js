@@ -167,7 +167,7 @@ function change(kind, effect, output) {
 }
 
 async function take(order) {
-  if (running) return problem("A step is under way; wait for it or cancel it.", "/steps");
+  if (running) return problem("A step is under way; wait for it or cancel it.", "/busy");
   try {
     await Files.ready();
   } catch (error) {
@@ -183,6 +183,7 @@ async function follow() {
   running = state.steps.find(step => step.state === "running") || null;
   const {hidden} = $("running");
   $("running").hidden = !running;
+  if (!running) problem("", "/busy");
   // Not `disabled`: the focus stays where it is.
   if (hidden === Boolean(running)) document.querySelectorAll(".run").forEach(button => button.setAttribute("aria-disabled", Boolean(running)));
   if (running) {

@@ -150,6 +150,33 @@ async function columns(step, box) {
     what.onchange = () => { units(); map(); };
     unit.onchange = map;
   }
+  computed(step, Object.keys(found.choices), table_.closest(".scroll"));
+}
+
+// What no column holds is computed from several, as `--column` does it; what the command has proposed stands there.
+function computed(step, quantities, after) {
+  const form = document.createElement("form"), what = document.createElement("select"), formula = document.createElement("input");
+  const proposed = step.sentence.match(/--column '([a-z_]+)=([^']+)'/) || [null, "voltage", ""];
+  const own = Files.columnsOf(step.recordings, step.columns).map(text => columnParts(text)[1]).find(column => /[*/]/.test(column.split("=")[1]));
+  form.className = "row computed";
+  put("span", form, "or compute");
+  what.append(...quantities.map(name => new Option(words(name), name)));
+  what.value = own ? own.split("=")[0] : proposed[1];
+  what.setAttribute("aria-label", "what is computed");
+  formula.type = "text";
+  formula.required = true;
+  formula.spellcheck = false;
+  formula.placeholder = "duty_pct*U_bat [V]/100";
+  formula.value = own ? own.slice(own.indexOf("=") + 1) : proposed[2];
+  formula.setAttribute("aria-label", "formula over the columns");
+  form.append(what, "=", formula);
+  put("button", form, "Use it");
+  form.onsubmit = event => {
+    event.preventDefault();
+    Files.map(step.recordings[0], what.value, "", formula.value.trim());
+    Files.look(step.recordings[0]);
+  };
+  after.after(form);
 }
 
 // Every motor file that was compared with the same recordings, the oldest first, over each other.
