@@ -126,6 +126,7 @@ def build(
             head[:, 0] -= 2 * np.log(trained.targets.deviation.numpy())
         else:
             head = noise_head([z.numpy() for z in read], off, [posterior.variance(z).numpy() for z in read])
+            silent, head = _by_drive(silent, head, read, off)
     else:
         y, guess, constant = _crossed(recipe, fitted)
         if frame:
@@ -227,6 +228,32 @@ def _scaled(errors: Array, width: int) -> Array:
     head = np.zeros((errors.shape[1], width))
     head[:, 0] = 2 * np.log(np.maximum(np.quantile(np.abs(errors), 0.95, axis=0) / 1.96, 1.0))
     return head
+
+
+def _by_drive(
+    learned: Learned, head: Array, read: Sequence[torch.Tensor], off: Sequence[Array]
+) -> tuple[Learned, Array]:
+    """Network and noise head `[K, Z]` with deviations so wide that they hold in nine drives of ten, not in nine rows of ten.
+
+    Whoever has a drive has that one: errors that last through a cycle count as one, however many its rows (conformal
+    prediction over groups; Dunn, Wasserman and Ramdas 2023, doi:10.1080/01621459.2022.2060112). Never narrowed.
+
+    Args:
+        learned: the network.
+        head: of the noise, fitted to all rows.
+        read: `[N, Z]` of each cycle not trained on: what the output layer reads.
+        off: `[N, K]` of each: errors in the targets' deviations.
+    """
+    stated = [
+        np.sqrt(learned.posterior.variance(z).numpy() + np.exp(np.clip(z.numpy() @ head.T, -25.0, 10.0)))
+        for z in read
+    ]
+    needed = [np.quantile(np.abs(e) / s, 0.95, axis=0) / 1.96 for e, s in zip(off, stated, strict=True)]
+    wider = np.maximum(np.quantile(needed, 0.9, axis=0), 1.0)
+    variances = _single(learned.posterior.variances * torch.from_numpy(wider**2)[:, None])
+    head = head.copy()
+    head[:, 0] += 2 * np.log(wider)
+    return replace(learned, posterior=replace(learned.posterior, variances=variances)), head
 
 
 def _worth(learned: Learned, share: Array, steady: Array) -> Learned:

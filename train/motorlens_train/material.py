@@ -87,15 +87,11 @@ def from_motor(
     for number in numbers:
         # An observer reads the temperature off the inrush, so what it stands in may have any history.
         unknown = number >= cycles or (observed is not None and number % 2 == 1)
-        rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3] if observed is not None else rate_Hz
+        rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3]
         # Nor can it know anything before the first inrush: its errors are counted from a second after that.
         settled = observed is not None and (number >= cycles or fifth <= number < 2 * fifth)
         one = relative(file, tolerance, np.random.default_rng([seed, number, 1]))
-        noise_here = (
-            deviations
-            if observed is None
-            else deviations.of_any_size(np.random.default_rng([seed, number, 2]))
-        )
+        noise_here = deviations.of_any_size(np.random.default_rng([seed, number, 2]))
         made[number] = simulated(one, bank, noise_here, rate, [seed, number], unknown, settled)
         done(len(made))
     usual = (12, 8) if observed is None else (6,)
@@ -114,8 +110,7 @@ def from_motor(
         f"{cycles - 2 * fifth if learns else len(made)} simulated duty cycles of {file.name}: random voltage, load and "
         "ambient, hot restarts, "
         f"{starts}, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
-        f"{deviations.current_A:.3g} A a sample"
-        + ("" if observed is None else ", times 0.05 to 10")
+        f"{deviations.current_A:.3g} A a sample, times 0.05 to 10"
         + (
             f"; every cycle another motor, its parameters up to {100 * tolerance:g} % off"
             if tolerance
