@@ -51,11 +51,11 @@ bench: .venv/bench
 hil: .venv/everything
 	$(BIN)/python benchmarks/hil.py $(BENCH)
 
-# Rebuild the shipped sensors from their seed: a network on filters, and a physics observer alone.
+# Rebuild the shipped sensors from their seed: a network on filters, for small microcontrollers, and a physics observer.
 sensor: .venv/everything
-	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 -o models/sensors/mellah2016.onnx
-	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --observer models/motors/mellah2016.toml --seed 1 \
-		--cycles 20 -o models/sensors/mellah2016_observer.onnx
+	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 --hidden 12-8 \
+		-o models/sensors/mellah2016.onnx
+	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 --cycles 20 -o models/sensors/mellah2016_observer.onnx
 
 clean:
 	rm -rf .venv out dist build

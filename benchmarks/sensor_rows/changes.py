@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from sensor_rows.worlds import DRIVE, judged
 
 from motorlens_runtime.sensor.sensor import load_sensor
-
-from sensor_rows.worlds import judged  # isort: skip -- it finds the helpers of tests/
-from helpers.worlds.judge import Verdict
-from helpers.worlds.plant import run
-from helpers.worlds.world import NOISE_A, NOISE_V, Constants, Recorded, World, at, drawn, record
+from motorlens_train.evaluation.worlds.judge import Verdict
+from motorlens_train.evaluation.worlds.plant import run
+from motorlens_train.evaluation.worlds.world import Recorded, World, at, drawn, record
 
 # What the motor is in every row: the file's, so that nothing but the change is to be told.
 PLAIN = {"motor": "the file's", "lacks": "nothing", "jitter": "none", "converter": "exact", "colour": "white"}
@@ -53,7 +52,7 @@ def _drives(seeds: int, noise: str) -> Iterator[tuple[World, Recorded]]:
     for number in range(seeds):
         kind = ("steps", "ramps", "loop")[number % 3]
         world = at(drawn(41, number), **PLAIN, excitation=kind, rate="500", noise=noise, start="cold")
-        yield world, record(world)
+        yield world, record(world, DRIVE)
 
 
 def _jump(seeds: int, noise: str, factors: tuple[float, float]) -> Iterator[tuple[World, Recorded]]:
@@ -90,7 +89,7 @@ def _scaled(seeds: int) -> Iterator[tuple[World, Recorded]]:
 def _day() -> tuple[World, Recorded]:
     """Switched on once from ambient, then a day of nothing that excites."""
     rng, n = np.random.default_rng(43), int(DAY_S * DAY_RATE_HZ)
-    time, motor = np.arange(n) / DAY_RATE_HZ, Constants()
+    time, motor = np.arange(n) / DAY_RATE_HZ, DRIVE.constants
     voltage, load = np.where(time < 1.0, 0.0, 200.0), np.full(n, 5.0)
     states, voltage = run(
         motor, time, voltage, True, load, np.zeros(n), np.zeros(3), longest_s=1 / DAY_RATE_HZ
@@ -98,7 +97,7 @@ def _day() -> tuple[World, Recorded]:
     rise = states[:, 2]
     truth = np.column_stack([states[:, 1], rise, motor.R * (1 + motor.alpha * rise)])
     recorded = Recorded(
-        time, voltage + NOISE_V * rng.standard_normal(n), states[:, 0] + NOISE_A * rng.standard_normal(n),
-        np.full(n, 20.0), truth, time > 11.0, NOISE_V, NOISE_A, load, motor,
+        time, voltage + DRIVE.noise_V * rng.standard_normal(n), states[:, 0] + DRIVE.noise_A * rng.standard_normal(n),
+        np.full(n, 20.0), truth, time > 11.0, DRIVE.noise_V, DRIVE.noise_A, load, motor, DRIVE.sizes,
     )  # fmt: skip
     return at(drawn(43, 0), **PLAIN, excitation="constant", rate="200", start="cold"), recorded

@@ -1,23 +1,22 @@
 """Sensor files in worlds they were not made in: the runtime itself, on a plant that shares no code with the packages."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
-
-from helpers.worlds.judge import Verdict, table, verdict
-from helpers.worlds.world import Recorded, World, at, drawn, record
+from sensor_rows.common import MELLAH
 
 from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.progress import Progress
 from motorlens_runtime.sensor.sensor import Sensor, load_sensor
+from motorlens_train.evaluation.worlds.drive import Drive
+from motorlens_train.evaluation.worlds.judge import ROWS, Verdict, verdict
+from motorlens_train.evaluation.worlds.table import cells as cells_of
+from motorlens_train.evaluation.worlds.table import text
+from motorlens_train.evaluation.worlds.world import Recorded, World, at, drawn, record
 
-# Rows that are judged in each world.
-ROWS = 1500
+DRIVE = Drive.of(MELLAH)
 _BLOCK = 65536
 
 
@@ -53,13 +52,15 @@ def worlds(path: Path, count: int, seed: int, cells: Sequence[str] = ()) -> int:
     with Progress(count, f"{path.stem} in worlds") as progress:
         for number in range(count):
             world = at(drawn(seed, number), **chosen)
-            one = judged(sensor, world, record(world))
+            one = judged(sensor, world, record(world, DRIVE))
             found.append(one)
             if one.confidently_wrong:
                 lines.append(_line(number, one))
             progress.update(number + 1)
     wrong = len(lines)
-    print(f"\n## {path.name} in {count} worlds of seed {seed}: confidently wrong in {wrong}\n{table(found)}")
+    print(
+        f"\n## {path.name} in {count} worlds of seed {seed}: confidently wrong in {wrong}\n{text(cells_of(found))}"
+    )
     print("\n".join(lines), flush=True)
     return wrong
 

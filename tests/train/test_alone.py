@@ -4,10 +4,10 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 from helpers.duty import MELLAH
-from helpers.worlds.plant import Constants, run
 
 from motorlens_train.alone import alone, observer_alone
 from motorlens_train.build import Recipe
+from motorlens_train.evaluation.worlds.plant import Constants, run
 from motorlens_train.export import core_graph, step_graph
 from motorlens_train.features import feature_rows, motor_bank
 from motorlens_train.observer.design import ObserverSettings, with_observer

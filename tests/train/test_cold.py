@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from helpers.duty import MELLAH
-from helpers.worlds.plant import Constants, run
 from scipy.stats import norm
 
+from motorlens_train.evaluation.worlds.plant import Constants, run
 from motorlens_train.observer.cold import CERTAIN, COLD, Track, weighed
 from motorlens_train.observer.design import ObserverSettings, observer
 from motorlens_train.observer.layout import Layout

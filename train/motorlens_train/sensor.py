@@ -10,7 +10,7 @@ from motorlens_train.cascade import Network, dense, forward
 from motorlens_train.observer.frame import Frame
 from motorlens_train.posterior import LastLayer
 from motorlens_train.scaling import Scaling, Whitening
-from motorlens_train.specification import Array, Bank, Specification
+from motorlens_train.specification import Array, Bank, Envelope, Specification
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,16 @@ class Sensor:
     def bank(self) -> Bank:
         """Signals, filters and features."""
         return self.specification.bank
+
+    @property
+    def promised(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(output.name for output in self.specification.outputs)
+
+    @property
+    def envelope(self) -> Envelope:
+        """Ranges of the inputs, and the cloud of the features."""
+        return self.specification.envelope
 
     def evaluate(self, features: Array) -> tuple[Array, Array]:
         """Estimate and sigma `[N, K]` for features `[N, F]`, in float64."""

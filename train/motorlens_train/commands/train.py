@@ -1,16 +1,19 @@
-"""Train a virtual sensor from a motor's physics, from recordings, or from both.
+"""Make a virtual sensor from a motor's physics, from recordings, or from both.
 
 examples:
   motorlens train --motor mellah2016 --seed 1 -o sensor.onnx
   motorlens train --recordings run1.csv run2.csv --column speed=wL_rad_s -o mine.onnx
 
-With --tolerance 10 the sensor is for every motor of the make, not for the one of the file; an observer inside
-it (--observer) then finds R, ke and J of the motor it is put on. Without --tolerance the observer's motor is known, and
-it stands alone: nothing is trained, and --cycles says on how many it is judged.
+From a motor file it is the physics observer of that motor, alone: nothing is trained, and --cycles says on how many
+simulated duty cycles it is judged. With --tolerance 10 it is for every motor of the make, not for the one of the file: the
+observer finds R, ke and J of the motor it is put on, and a network mends what it gets wrong. With --hidden 12-8 it is a
+network on filters, without an observer: lighter on a microcontroller, and only for a motor that starts at ambient
+temperature, as its quality says.
 
-From a motor file, duty cycles are simulated with random voltage, load and ambient. From recordings, the
-targets that were measured (speed, temperature, resistance) decide what the sensor promises. Beside OUT.onnx stand
-OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card with the errors on duty cycles not trained on.
+From recordings it is a network; the targets that were measured (speed, temperature, resistance) decide what it promises.
+
+Beside OUT.onnx stand OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card: errors on duty cycles not
+trained on and, of an observer, in --worlds worlds that it was not made in (see `motorlens evaluate --help`).
 """
 
 import argparse
@@ -25,13 +28,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motor", metavar="MOTOR.toml", help="train on simulated duty cycles of this motor")
     parser.add_argument("--recordings", nargs="+", default=[], metavar="REC", help="train on measured runs")
     parser.add_argument(
-        "--observer", metavar="MOTOR.toml", help="run a physics observer of this motor inside the sensor"
+        "--observer",
+        metavar="MOTOR.toml",
+        help="run a physics observer of this motor inside the sensor (default: with --motor that one, unless --hidden)",
     )
     parser.add_argument("-o", "--output", required=True, metavar="SENSOR.onnx", help="where the sensor goes")
     parser.add_argument("--column", action="append", default=[], metavar="QUANTITY=NAME",
                         help="which column holds a quantity, e.g. speed=wL_rad_s; repeatable")  # fmt: skip
     parser.add_argument(
-        "--hidden", metavar="N-M", help="widths of the hidden layers, e.g. 12-8 (default: by data)"
+        "--hidden",
+        metavar="N-M",
+        help="widths of the hidden layers of a network, e.g. 12-8 (default: by data)",
     )
     parser.add_argument(
         "--cycles", type=int, default=120, metavar="N", help="simulated duty cycles (default: 120)"
@@ -43,6 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tolerance", type=float, default=0.0, metavar="PERCENT",
         help="every simulated cycle is of another motor, its R, ke, J and thermal parameters up to so much off",
     )  # fmt: skip
+    parser.add_argument("--worlds", type=int, default=60, metavar="N",
+                        help="an observer is judged in so many drawn worlds (default: 60)")  # fmt: skip
     parser.add_argument("--iterations", type=int, default=120, metavar="N", help="at most (default: 120)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (default: 1)")
     parser.add_argument("--checkpoint", metavar="FILE", help="write training's state here, and go on from it")
@@ -57,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_train.build import build, golden, measured
     from motorlens_train.card import write_card
     from motorlens_train.commands.parse import hidden_layers
+    from motorlens_train.evaluation.worlds.table import cells_in_worlds
     from motorlens_train.export import write_sensor
     from motorlens_train.material import from_motor, from_recordings, paper_of
 
@@ -67,7 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--tolerance is for simulated motors: it needs --motor MOTOR.toml")
     if output.suffix != ".onnx":
         raise DataError(f"-o {output}: a sensor file ends in .onnx")
-    observed = read_motor_file(arguments.observer) if arguments.observer else None
+    observer = arguments.observer or (arguments.motor if not arguments.hidden else None)
+    observed = read_motor_file(observer) if observer else None
     hidden = hidden_layers(arguments.hidden) if arguments.hidden else None
     stands_alone = observed is not None and not arguments.tolerance
     count = 2 * (arguments.cycles // 5) if stands_alone else 1.2 * arguments.cycles
@@ -102,6 +113,11 @@ def run(arguments: argparse.Namespace) -> int:
         card = card_of(sensor, material.unseen, arguments.seed)
     cases = {title: measured(sensor, cycles) for title, cycles in material.cases.items()}
     card |= {"trained_on": material.origin, "cases": cases}
+    if arguments.motor and observed is not None and observed.motor.L > 0 and arguments.worlds > 0:
+        file = read_motor_file(arguments.motor)
+        with Progress(arguments.worlds, "judging in worlds") as progress:
+            cells = cells_in_worlds(sensor, file, arguments.worlds, arguments.seed, progress.update)
+        card["worlds"] = {"seed": arguments.seed, "cells": [cell.document() for cell in cells]}
     if arguments.motor and material.training:
         card["paper"] = asdict(paper_of(Path(arguments.motor), material.recipe, arguments.noise))
     write_sensor(sensor, card, golden(sensor), output)
@@ -114,6 +130,12 @@ def run(arguments: argparse.Namespace) -> int:
         where = "unseen duty cycles" if card["unseen"] else "the training recordings"
         covered = f"95 % interval covers {100 * figures['coverage_95']:.1f} %"
         print(f"  {name}: rmse {figures['rmse']:.4g} {unit} on {where}, {covered}")
+    if "worlds" in card:
+        every = card["worlds"]["cells"][0]
+        print(
+            f"  in {every['worlds']} worlds it was not made in: confidently wrong in {every['wrong']}, good "
+            f"{100 * every['good']:.1f} % of the time"
+        )
     write_json({"schema": "motorlens.train/1", "sensor": str(output), "card": card, "report": report},
                arguments.json)  # fmt: skip
     return 0

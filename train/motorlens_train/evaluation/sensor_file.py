@@ -15,21 +15,22 @@ from motorlens_runtime.files.shipped import sensor_path
 from motorlens_train.baselines.method import OUTPUTS, Estimate, inputs
 from motorlens_train.features import feature_rows
 from motorlens_train.observer.file import Observer
-from motorlens_train.specification import Bank, Feature, Filter
+from motorlens_train.specification import Array, Bank, Envelope, Feature, Filter
 
 _ROWS = 65536
 
 
 @dataclass(frozen=True)
 class SensorFile:
-    """An exported sensor; `session` is ONNX Runtime's, `kind` the type of its features."""
+    """An exported sensor; `session` is ONNX Runtime's, `kind` the type of its features, `envelope` its inputs' ranges."""
 
     name: str
     session: Any
     bank: Bank
-    outputs: tuple[str, ...]
+    promised: tuple[str, ...]
     first_dt_s: float
     kind: str
+    envelope: Envelope
 
     def fit(self, recordings: Sequence[Recording], motor_file: MotorFile) -> "SensorFile":
         """A sensor file is trained already."""
@@ -46,17 +47,22 @@ class SensorFile:
                 )
             ambient = recording.channels["ambient"]
         features = feature_rows(self.bank, time, v, i, None, ambient, self.first_dt_s)
-        features = features.astype(np.float64 if self.kind == "tensor(double)" else np.float32)
         values, sds = np.full((len(time), 3), np.nan), np.full((len(time), 3), np.nan)
-        columns = [OUTPUTS.index(name) for name in self.outputs]
-        for first in range(0, len(time), _ROWS):
-            rows = slice(first, first + _ROWS)
-            values[rows, columns], sds[rows, columns] = self.session.run(
-                ["estimate", "sigma"], {"features": features[rows]}
-            )
+        columns = [OUTPUTS.index(name) for name in self.promised]
+        values[:, columns], sds[:, columns] = self.evaluate(features)
         if ambient is not None:
             values[:, 1] -= ambient
         return Estimate.of(values, sds)
+
+    def evaluate(self, features: Array) -> tuple[Array, Array]:
+        """Estimate and sigma `[N, K]` for features `[N, F]`."""
+        features = features.astype(np.float64 if self.kind == "tensor(double)" else np.float32)
+        parts = [
+            self.session.run(["estimate", "sigma"], {"features": features[first : first + _ROWS]})
+            for first in range(0, len(features), _ROWS)
+        ]
+        values, sds = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return np.asarray(values, dtype=np.float64), np.asarray(sds, dtype=np.float64)
 
 
 def read_sensor(path: Path | str) -> SensorFile:
@@ -78,10 +84,15 @@ def read_sensor(path: Path | str) -> SensorFile:
         bank = bank_from(document)
         outputs = tuple(entry["name"] for entry in document["outputs"])
         step = 1 / float(document["sample_rate_Hz"]["nominal"])
+        envelope = Envelope(
+            tuple(document["envelope"]["voltage_V"]), tuple(document["envelope"]["current_A"])
+        )
     except Exception as error:
         raise ModelError(f"{path}: not a motorlens sensor: {type(error).__name__}: {error}") from None
     kind = session.get_inputs()[0].type
-    return SensorFile(known.get("motorlens.name", Path(path).stem), session, bank, outputs, step, kind)
+    return SensorFile(
+        known.get("motorlens.name", Path(path).stem), session, bank, outputs, step, kind, envelope
+    )
 
 
 def bank_from(document: dict[str, Any]) -> Bank:

@@ -1,10 +1,15 @@
 """A world: how the motor is driven and loaded, what motor it is, and how voltage and current are measured; drawn from
 a seed."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from helpers.worlds.plant import OPEN, Array, Constants, Loop, run
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from motorlens_train.evaluation.worlds.drive import Drive
+from motorlens_train.evaluation.worlds.plant import OPEN, Array, Constants, Loop, run
 
 # The factors of a world and their cells; the table has one row for each.
 FACTORS: dict[str, tuple[str, ...]] = {
@@ -18,13 +23,8 @@ FACTORS: dict[str, tuple[str, ...]] = {
     "load": ("brake", "drive"),
     "start": ("cold", "warm", "late"),
     "motor": ("the file's", "10 % off"),
-    "lacks": ("nothing", "1.5 V drop"),
+    "lacks": ("nothing", "brush drop"),
 }
-# What the shipped sensors were trained with, V and A; the worlds' noise is in multiples of it.
-NOISE_V, NOISE_A = 0.48, 0.0509
-RATED_V, RATED_NM = 240.0, 6.455
-# Full scale of the converters, V and A.
-SCALE_V, SCALE_A = 300.0, 75.0
 # At most so many samples a world.
 MOST = 600_000
 
@@ -45,8 +45,8 @@ class World:
 class Recorded:
     """What is measured, (N,) each: stamps s, V, A, degC; and the truth (N, 3): speed rad/s, rise K, resistance ohm.
 
-    `counted` (N,): from ten seconds after the motor was first excited. `quiet_s` (N,): since the voltage or the load last
-    stepped. `noise_V`, `noise_A`: of a sample. `brake_Nm` (N,): the true load.
+    `counted` (N,): from ten seconds after the motor was first excited. `noise_V`, `noise_A`: of a sample. `load_Nm` (N,):
+    the true load. `sizes` (3,): errors that matter.
     """
 
     time_s: Array
@@ -54,11 +54,12 @@ class Recorded:
     current_A: Array
     ambient_C: Array
     truth: Array
-    counted: Array
+    counted: NDArray[np.bool_]
     noise_V: float
     noise_A: float
     load_Nm: Array
     constants: Constants
+    sizes: Array
 
 
 def drawn(seed: int, number: int) -> World:
@@ -77,17 +78,18 @@ def at(world: World, **cells: str) -> World:
     return replace(world, factors=world.factors | cells)
 
 
-def constants(world: World) -> Constants:
+def constants(world: World, drive: Drive) -> Constants:
     """The motor of this world."""
-    found = Constants()
+    found = drive.constants
     if world.factors["motor"] != "the file's":
         off = world.rng(1).uniform(0.9, 1.1, 10)
         off[5] = 1.0  # alpha is copper's
-        found = Constants(*(value * share for value, share in zip(found, [*off, 1.0], strict=True)))
-    return found._replace(drop=1.5) if world.factors["lacks"] != "nothing" else found
+        named = zip(Constants._fields, found, off, strict=False)
+        found = found._replace(**{name: value * share for name, value, share in named})
+    return found._replace(drop=drive.drop_V) if world.factors["lacks"] != "nothing" else found
 
 
-def record(world: World) -> Recorded:
+def record(world: World, drive: Drive) -> Recorded:
     """Drive the motor and measure it."""
     kind, rate = world.factors["excitation"], float(world.factors["rate"])
     rng = world.rng(2)
@@ -98,33 +100,50 @@ def record(world: World) -> Recorded:
     if world.factors["jitter"] != "none":
         time[1:] += 0.05 / rate * world.rng(3).uniform(-1, 1, n - 1)
     rest = float(rng.uniform(0.5, 3.0))
-    voltage = _voltage(kind, time, rest, rng)
+    voltage = _voltage(kind, time, rest, rng) * (drive.rated_V / 240.0)
     reference, loop = None, OPEN
     if kind == "loop":
-        reference = 0.85 * voltage / 0.9346
-        loop = Loop(min(2.0, 0.0082 * rate), 8.0, RATED_V)
-    load = _stretches(time, rng, 2.0, 60.0, lambda r: r.uniform(0.0, 1.4) * RATED_NM)
-    drive = world.factors["load"] == "drive"
-    torque = _stretches(time, rng, 2.0, 60.0, lambda r: r.uniform(-0.6, 0.6) * RATED_NM) * drive
-    brake = load * (0.1 if drive else 0.15 if kind == "creep" else 1.0)
-    motor = constants(world)
-    start = np.array([0.0, 0.0, 0.0 if world.factors["start"] == "cold" else rng.uniform(20.0, 80.0)])
+        m = drive.constants
+        reference = 0.85 * voltage / m.ke
+        pace = m.R * m.J / m.ke**2
+        # No faster than the rotor follows within a few samples.
+        loop = Loop(min(2.14 * m.ke, rate * m.J / 4), 1.125 * m.ke / pace, drive.rated_V)
+    load = _stretches(time, rng, 2.0, 60.0, lambda r: r.uniform(0.0, 1.4) * drive.rated_Nm)
+    driven = world.factors["load"] == "drive"
+    torque = _stretches(time, rng, 2.0, 60.0, lambda r: r.uniform(-0.6, 0.6) * drive.rated_Nm) * driven
+    brake = load * (0.1 if driven else 0.15 if kind == "creep" else 1.0)
+    motor = constants(world, drive)
+    start = np.array(
+        [0.0, 0.0, 0.0 if world.factors["start"] == "cold" else rng.uniform(0.25, 1.0) * drive.rise_K]
+    )
     held = world.factors["between"] == "held" or kind == "loop"
     states, voltage = run(motor, time, voltage, held, brake, torque, start, reference, loop)
     first = n // 3 if late else 0
     return _measured(
-        world, motor, time[first:], voltage[first:], states[first:], (brake + torque)[first:], rate
+        world, drive, motor, time[first:], voltage[first:], states[first:], (brake + torque)[first:], rate
     )
 
 
-def _measured(world, motor, time, voltage, states, load, rate):
+def _measured(
+    world: World,
+    drive: Drive,
+    motor: Constants,
+    time: Array,
+    voltage: Array,
+    states: Array,
+    load: Array,
+    rate: float,
+) -> Recorded:
     rng = world.rng(4)
     low, high = map(float, world.factors["noise"].split("-"))
     factor = np.exp(rng.uniform(np.log(low), np.log(high)))
-    sds = (factor * NOISE_V, factor * np.exp(rng.uniform(-np.log(2), np.log(2))) * NOISE_A)
-    ripple = 0.004 * SCALE_A * 0.1 if world.factors["excitation"] == "dither" else 0.0
+    sds = (factor * drive.noise_V, factor * np.exp(rng.uniform(-np.log(2), np.log(2))) * drive.noise_A)
+    ripple = 0.0004 * drive.scale_A if world.factors["excitation"] == "dither" else 0.0
     channels = []
-    for true, sd, scale, more in ((voltage, sds[0], SCALE_V, 0.0), (states[:, 0], sds[1], SCALE_A, ripple)):
+    for true, sd, scale, more in (
+        (voltage, sds[0], drive.scale_V, 0.0),
+        (states[:, 0], sds[1], drive.scale_A, ripple),
+    ):
         noise = rng.standard_normal(len(true))
         if world.factors["colour"] == "coloured":
             # White through a first-order lag of one to ten milliseconds, as of an anti-aliasing filter or a supply.
@@ -138,19 +157,26 @@ def _measured(world, motor, time, voltage, states, load, rate):
     time = time - time[0]
     rise = states[:, 2]
     truth = np.column_stack([states[:, 1], rise, motor.R * (1 + motor.alpha * rise)])
-    excited = (np.abs(voltage) > RATED_V / 50) | (np.abs(states[:, 0]) > 0.5)
+    excited = (np.abs(voltage) > drive.rated_V / 50) | (np.abs(states[:, 0]) > drive.rated_A / 15)
     begun = time[int(np.argmax(excited))] if excited.any() else time[-1]
     ambient = np.full(len(time), rng.uniform(0.0, 40.0))
-    return Recorded(time, *channels, ambient, truth, time >= begun + 10.0, *sds, load, motor)
+    seen_V, seen_A = channels
+    return Recorded(
+        time, seen_V, seen_A, ambient, truth, time >= begun + 10.0, *sds, load, motor, drive.sizes
+    )  # fmt: skip
 
 
-def _lagged(white, keep):
-    from scipy.signal import lfilter
-
-    return lfilter([1.0], [1.0, -keep], white)
+def _lagged(white: Array, keep: float) -> Array:
+    return np.asarray(lfilter([1.0], [1.0, -keep], white))
 
 
-def _stretches(time, rng, shortest, longest, draw):
+def _stretches(
+    time: Array,
+    rng: np.random.Generator,
+    shortest: float,
+    longest: float,
+    draw: Callable[[np.random.Generator], float],
+) -> Array:
     """Piecewise constant: stretches of random length, their values drawn."""
     out, begin = np.zeros(len(time)), 0.0
     while begin < time[-1]:
@@ -160,15 +186,15 @@ def _stretches(time, rng, shortest, longest, draw):
     return out
 
 
-def _voltage(kind, time, rest, rng):
-    """The voltage (or the speed wanted, as a voltage) of an excitation, 0 for the first `rest` seconds."""
+def _voltage(kind: str, time: Array, rest: float, rng: np.random.Generator) -> Array:
+    """The voltage (or the speed wanted, as a voltage) of an excitation of a motor for 240 V, 0 for the first `rest` s."""
     if kind == "constant":
-        return np.where(time < rest, 0.0, rng.uniform(30.0, RATED_V))
+        return np.where(time < rest, 0.0, rng.uniform(30.0, 240.0))
     points, values, t = [0.0, rest], [0.0, 0.0], rest
     waves = np.zeros(len(time))
     while t < time[-1]:
         length = np.exp(rng.uniform(0.0, np.log(60.0)))
-        new = rng.uniform(30.0, RATED_V) if rng.random() > 0.15 else 0.0
+        new = rng.uniform(30.0, 240.0) if rng.random() > 0.15 else 0.0
         if kind == "creep":
             new = rng.uniform(2.0, 20.0) if rng.random() > 0.15 else 0.0
         ramp = rng.uniform(0.0, 0.5) * length if kind in ("ramps", "creep") else 1e-6
@@ -185,5 +211,5 @@ def _voltage(kind, time, rest, rng):
     voltage = np.interp(time, points, values) + waves
     if kind == "dither":
         bits = rng.choice([-1.0, 1.0], int(time[-1] / 0.05) + 2)
-        voltage += 0.02 * RATED_V * bits[(time / 0.05).astype(int)] * (voltage > 0)
+        voltage += 0.02 * 240.0 * bits[(time / 0.05).astype(int)] * (voltage > 0)
     return voltage

@@ -1,4 +1,4 @@
-"""The paper's motor by a classical Runge-Kutta method (order 4), a brake that opposes the motion, and a speed controller."""
+"""A brushed motor by a classical Runge-Kutta method (order 4), a brake that opposes the motion, and a speed controller."""
 
 from typing import NamedTuple
 
@@ -10,14 +10,11 @@ Array = NDArray[np.float64]
 
 # States.
 I, W, THETA = range(3)  # noqa: E741
-# The longest step of the integration: a fortieth of L/R, a fifth of the brake's fastest rate.
-LONGEST_S = 2.5e-4
-# The speed, rad/s, over which the brake's direction turns.
-TURNING = 0.3
 
 
 class Constants(NamedTuple):
-    """The motor: ohm, H, V s/rad, kg m2, N m s/rad, 1/K, W/K, s/rad, W s2/rad2, J/K; and a brush drop, V."""
+    """The motor: ohm, H, V s/rad, kg m2, N m s/rad, 1/K, W/K, s/rad, W s2/rad2, J/K; a brush drop, V; and the speed
+    (rad/s) and the current (A) over which brake and drop turn round."""
 
     R: float = 3.5
     L: float = 0.034
@@ -30,6 +27,12 @@ class Constants(NamedTuple):
     k_ir: float = 0.00667
     H: float = 18e3
     drop: float = 0.0
+    turning: float = 0.3
+    knee: float = 0.1
+
+    def longest_s(self, brake_Nm: float) -> float:
+        """The longest step of the integration: a fortieth of L/R, a fifth of the brake's fastest rate."""
+        return min(self.L / self.R / 40, self.turning * self.J / max(brake_Nm, 1e-12) / 5)
 
 
 class Loop(NamedTuple):
@@ -43,18 +46,23 @@ class Loop(NamedTuple):
 OPEN = Loop(0.0, 0.0, 0.0)
 
 
-@nb.njit(cache=True)
-def _rates(x, v, brake, torque, c, out):
+@nb.njit(cache=True)  # type: ignore[untyped-decorator]
+def _rates(
+    x: Array, v: float, brake: float, torque: float, c: Array, out: Array
+) -> None:  # pragma: no cover - compiled
     i, w, theta = x[I], x[W], x[THETA]
     r = c[0] * (1.0 + c[5] * theta)
-    lost = c[10] * i / np.sqrt(i * i + 0.01)
+    lost = c[10] * i / np.sqrt(i * i + c[12] * c[12])
     out[I] = (v - r * i - lost - c[2] * w) / c[1]
-    out[W] = (c[2] * i - c[4] * w - brake * np.tanh(w / TURNING) - torque) / c[3]
+    out[W] = (c[2] * i - c[4] * w - brake * np.tanh(w / c[11]) - torque) / c[3]
     out[THETA] = (r * i * i + lost * i + c[8] * w * w - c[6] * (1.0 + c[7] * abs(w)) * theta) / c[9]
 
 
-@nb.njit(cache=True)
-def _run(time, voltage, held, brake, torque, reference, gains, x0, c, longest, states):
+@nb.njit(cache=True)  # type: ignore[untyped-decorator]
+def _run(
+    time: Array, voltage: Array, held: bool, brake: Array, torque: Array, reference: Array, gains: Array, x0: Array,
+    c: Array, longest: float, states: Array,
+) -> None:  # fmt: skip  # pragma: no cover - compiled
     x, y = x0.copy(), np.empty(3)
     k1, k2, k3, k4 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     integral = 0.0
@@ -95,7 +103,7 @@ def _run(time, voltage, held, brake, torque, reference, gains, x0, c, longest, s
 
 def run(
     constants: Constants, time_s: Array, voltage_V: Array, held: bool, brake_Nm: Array, torque_Nm: Array, start: Array,
-    reference: Array | None = None, loop: Loop = OPEN, longest_s: float = LONGEST_S,
+    reference: Array | None = None, loop: Loop = OPEN, longest_s: float | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
     """States (N, 3), current A, speed rad/s and rise K, at the instants; and the voltage (N,) as it was applied.
 
@@ -108,10 +116,11 @@ def run(
         start: (3,) states at the first instant.
         reference: (N,) rad/s, for the speed controller.
         loop: the controller.
-        longest_s: of the integration's steps.
+        longest_s: of the integration's steps; None: what the motor asks for.
     """
     states, applied = np.empty((len(time_s), 3)), voltage_V.astype(np.float64).copy()
     wanted = np.empty(0) if reference is None else reference
+    longest = constants.longest_s(float(np.abs(brake_Nm).max())) if longest_s is None else longest_s
     _run(
         time_s,
         applied,
@@ -122,7 +131,7 @@ def run(
         np.array(loop),
         start,
         np.array(constants),
-        longest_s,
+        longest,
         states,
     )
     return states, applied
