@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers.processes import LIMIT_S, eventually
+from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually
 
 from motorlens_runtime.errors import DeviceError
 from motorlens_runtime.web import connections, style
@@ -78,6 +78,45 @@ def test_what_a_command_line_shows_opens_once(server):
     shown = {"Cookie": headers["Set-Cookie"].partition(";")[0], "Sec_Fetch_Site": "none"}
     assert ask(server, path, **shown)[0] == 200  # the browser loads it again
     assert ask(server, path)[0] == 403
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(
+    "page", ["workbench", "monitor --source sim:mellah2016 --sensor mellah2016_observer"]
+)
+def test_the_key_is_in_no_process_list(page, tmp_path):
+    """Of the programs themselves, with the browser that they open: what any user of the machine can read of them."""
+    browser = tmp_path / "browser"
+    browser.write_text(
+        f'#!/bin/sh\nprintf %s "$1" > {tmp_path}/part; mv {tmp_path}/part {tmp_path}/opened\nwhile sleep 1; do :; done'
+    )
+    browser.chmod(0o755)
+    environment = {**os.environ, "BROWSER": f"{browser} %s"}
+    with Program([*MOTORLENS, *page.split()], cwd=tmp_path, env=environment) as program:
+        key = program.line(of_error=True).partition("token=")[2]
+        eventually((tmp_path / "opened").exists, "the browser", program)
+        shown = (tmp_path / "opened").read_text()
+        lines = {path.parent.name: _words(path) for path in Path("/proc").glob("[0-9]*/cmdline")}
+        assert len(key) > 20 and str(program.pid) in lines
+        assert any(shown in line for line in lines.values()), "the browser is no more"
+        assert not any(key in line for line in lines.values())
+        port, path = shown.removeprefix("http://127.0.0.1:").split("/", 1)
+        answers = []
+        for _ in range(2):
+            connection = http.client.HTTPConnection("127.0.0.1", int(port), timeout=LIMIT_S)
+            with contextlib.closing(connection):
+                connection.request("GET", f"/{path}")
+                reply = connection.getresponse()
+                reply.read()
+                answers.append(reply.status)
+        assert answers == [200, 403]
+
+
+def _words(path):
+    try:
+        return path.read_bytes().decode(errors="replace").replace("\0", " ")
+    except OSError:  # it has ended
+        return ""
 
 
 def test_the_kernel_tells_whose_program_has_connected():
