@@ -4,6 +4,7 @@ import pytest
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import understand
+from motorlens_runtime.files.headings import candidates
 
 
 def test_the_headings_of_infer_are_understood():
@@ -32,6 +33,12 @@ def test_units_of_test_stands(heading, quantity, value):
 )  # fmt: skip
 def test_what_only_resembles_a_quantity_is_none(heading):
     assert understand([heading], {}, "f") == {}
+
+
+def test_a_symbol_alone_is_proposed_and_not_taken():
+    assert candidates("voltage", ["t", "u", "y"]) == ["u"]
+    assert candidates("voltage", ["t", "u", "input_voltage"]) == ["input_voltage"]
+    assert candidates("voltage", ["u", "a [mV]", "input_voltage"]) == ["a [mV]"]
 
 
 def test_of_two_columns_the_one_named_as_usual_is_taken():

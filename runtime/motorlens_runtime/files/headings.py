@@ -88,13 +88,14 @@ def unit_in(heading: str) -> Unit | None:
 
 
 def candidates(quantity: str, headings: Sequence[str]) -> list[str]:
-    """The headings whose unit is one of the quantity's; without any, those that hold a word for it."""
+    """The headings whose unit is one of the quantity's; without any, those that hold a word for it, or are its symbol."""
     unit, words = QUANTITIES[quantity]
     by_unit = [h for h in headings if (text := unit_text(h)) and conversion(unit, text) is not None]
     if by_unit:
         return by_unit
     long = [word for word in words if len(word) > 3]
-    return [h for h in headings if unit_text(h) is None and any(word in h.lower() for word in long)]
+    named = [h for h in headings if unit_text(h) is None and any(word in h.lower() for word in long)]
+    return named or [h for h in headings if h.strip().lower() in words]
 
 
 @lru_cache(maxsize=4096)

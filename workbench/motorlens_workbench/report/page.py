@@ -113,17 +113,17 @@ def significant(value: Any) -> str:
         return str(value)
     if isinstance(value, int | np.integer):
         return f"{value:d}"
-    short = float(f"{value:.4g}")
+    short = float(f"{value:.4g}") + 0.0  # no -0
     return f"{short:.0f}" if 1e3 <= abs(short) < 1e7 and short == int(short) else f"{short:.4g}"
 
 
 def unit_text(unit: str) -> str:
     """A unit as it is read.
 
-    >>> unit_text("degC"), unit_text("N*m"), unit_text("1")
-    ('°C', 'N m', '')
+    >>> unit_text("degC"), unit_text("V*s/rad"), unit_text("W/K"), unit_text("1")
+    ('°C', 'V s/rad', 'W/K', '')
     """
-    return {"degC": "°C", "N*m": "N m", "1": ""}.get(unit, unit)
+    return {"degC": "°C", "1": ""}.get(unit, unit.replace("*", " "))
 
 
 def _shown(item: Table | Bars | Grid) -> str:
@@ -133,15 +133,27 @@ def _shown(item: Table | Bars | Grid) -> str:
 
 
 def _table(item: Table) -> str:
-    head = "".join(f'<th scope="col">{_text(h)}</th>' if h else "<td></td>" for h in item.headings)
+    worded = [_holds_words([row[k] for row in item.rows if k < len(row)]) for k in range(len(item.headings))]
+    kinds = [' class="words"' if words else "" for words in worded]
+    head = "".join(
+        f'<th scope="col"{kind}>{_text(h)}</th>' if h else "<td></td>"
+        for h, kind in zip(item.headings, kinds, strict=True)
+    )
     rows = []
     for k, row in enumerate(item.rows):
         marks = f' data-name="{html.escape(item.names[k])}"' if item.names else ""
         marks += ' class="chosen"' if k in item.strong else ""
-        cells = "".join(f"<td>{_text(significant(cell))}</td>" for cell in row)
+        cells = "".join(
+            f"<td{kind}>{_text(significant(cell))}</td>" for cell, kind in zip(row, kinds, strict=True)
+        )
         rows.append(f"<tr{marks}>{cells}</tr>")
     body = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
     return f'<div class="scroll" tabindex="0" role="group" aria-label="table">{body}</div>{_caption(item.caption)}'
+
+
+def _holds_words(cells: Sequence[Any]) -> bool:
+    """Whether a column reads as text: nothing in it is a number, or begins with one."""
+    return bool(cells) and all(isinstance(cell, str) and cell[:1].isalpha() for cell in cells)
 
 
 def _bars(item: Bars) -> str:
@@ -204,4 +216,4 @@ def _caption(text: str) -> str:
 
 
 def _text(text: str) -> str:
-    return html.escape(text, quote=False)
+    return html.escape(text.replace("+-", "±"), quote=False)

@@ -30,7 +30,7 @@ function short(value, digits = 6) {
 }
 
 function unitOf(text) {
-  return {degC: "°C", 1: "", "N*m": "N m"}[text] ?? text;
+  return {degC: "°C", 1: ""}[text] ?? text.replaceAll("*", " ");
 }
 
 function put(tag, parent, text, classes) {

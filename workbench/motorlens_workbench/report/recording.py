@@ -95,8 +95,9 @@ def sentence(sight: Sight) -> str:
 def to_text(sight: Sight) -> str:
     """What the terminal shows."""
     rows = [sentence(sight), ""] if sight.recording is not None else []
-    rows.append(f"{'column':<32}{'taken for':<14}first values")
-    rows += [f"{h.heading:<32}{h.quantity or '-':<14}{', '.join(h.samples)}" for h in sight.headings]
+    wide = max(32, *(2 + len(heading.heading) for heading in sight.headings))
+    rows.append(f"{'column':<{wide}}{'taken for':<14}first values")
+    rows += [f"{h.heading:<{wide}}{h.quantity or '-':<14}{', '.join(h.samples)}" for h in sight.headings]
     if sight.recording is not None:
         rows += ["", f"{'quantity':<14}{'smallest':>12}{'largest':>12}"]
         for quantity, (low, high) in _extremes(sight.recording).items():
