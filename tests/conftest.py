@@ -27,6 +27,9 @@ _TIERS = {"fit", "blind"}
 # A test of the quick tier uses half a second; a first compilation or import may fall on anyone.
 _QUICK_S = 2.0
 _costly: dict[str, float] = {}
+# What each file of tests has used, fixtures and programs included: said of so long a run, so many files of it.
+_LONG_S, _SHOWN = 60.0, 25
+_by_file: dict[str, float] = {}
 
 # A change lands or not for what it does, not for what was drawn: the same examples in each run, and as many seconds as a
 # busy machine needs. `--hypothesis-profile search` draws new ones.
@@ -47,25 +50,45 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
+    """Note what the fixtures of a test have used that no test before has made."""
+    yield from _measured(item, "setup")
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     """Note what a test itself has used, programs it has waited for included; its fixtures may serve others too."""
+    yield from _measured(item, "call")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
+    """Note what was used until all that a test has started had ended."""
+    yield from _measured(item, "teardown")
+
+
+def _measured(item: pytest.Item, phase: str) -> Iterator[None]:
     before = _processor_s()
     yield
-    item.user_properties.append(("processor_s", _processor_s() - before))
+    item.user_properties.append((f"{phase}_s", _processor_s() - before))
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    used_s = dict(report.user_properties).get("processor_s", 0.0)
-    if (
-        report.when == "call"
-        and isinstance(used_s, float)
-        and used_s > _QUICK_S
-        and not _TIERS & set(report.keywords)
-    ):
-        _costly[report.nodeid] = used_s
+    used = {name: value for name, value in report.user_properties if isinstance(value, float)}
+    call_s = used.get("call_s", 0.0)
+    if report.when == "call" and call_s > _QUICK_S and not _TIERS & set(report.keywords):
+        _costly[report.nodeid] = call_s
+    if report.when == "teardown":
+        file = report.nodeid.partition("::")[0]
+        _by_file[file] = _by_file.get(file, 0.0) + sum(used.values())
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    whole = sum(_by_file.values())
+    if whole > _LONG_S:
+        terminalreporter.section(f"{whole:.0f} s of a processor, by file")
+        for name, used_s in sorted(_by_file.items(), key=lambda pair: -pair[1])[:_SHOWN]:
+            terminalreporter.write_line(f"{used_s:6.1f} s  {name}")
     if _costly:
         terminalreporter.section(f"above {_QUICK_S} s of a processor: make them cheaper, or mark them fit")
         for name, used_s in sorted(_costly.items(), key=lambda pair: -pair[1]):

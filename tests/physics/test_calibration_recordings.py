@@ -15,7 +15,7 @@ from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.sensors.gain import SensorGain
 
-pytestmark = needs_recordings
+pytestmark = [needs_recordings, pytest.mark.fit]
 
 # The speed is that of the wheel, behind a gear.
 GEAR = 9.68
