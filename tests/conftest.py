@@ -27,9 +27,10 @@ _TIERS = {"fit", "blind"}
 # A test of the quick tier uses half a second; a first compilation or import may fall on anyone.
 _QUICK_S = 2.0
 _costly: dict[str, float] = {}
-# What each file of tests has used, fixtures and programs included: said of so long a run, so many files of it.
+# What each file of tests has used of a processor, fixtures and programs included, and how long it took, with what it waited
+# for: said of so long a run, so many files of it.
 _LONG_S, _SHOWN = 60.0, 25
-_by_file: dict[str, float] = {}
+_by_file: dict[str, tuple[float, float]] = {}
 
 # A change lands or not for what it does, not for what was drawn: the same examples in each run, and as many seconds as a
 # busy machine needs. `--hypothesis-profile search` draws new ones.
@@ -78,17 +79,17 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     call_s = used.get("call_s", 0.0)
     if report.when == "call" and call_s > _QUICK_S and not _TIERS & set(report.keywords):
         _costly[report.nodeid] = call_s
-    if report.when == "teardown":
-        file = report.nodeid.partition("::")[0]
-        _by_file[file] = _by_file.get(file, 0.0) + sum(used.values())
+    file = report.nodeid.partition("::")[0]
+    used_s, lasted_s = _by_file.get(file, (0.0, 0.0))
+    _by_file[file] = used_s + sum(used.values()) * (report.when == "teardown"), lasted_s + report.duration
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    whole = sum(_by_file.values())
+    whole = sum(used_s for used_s, _ in _by_file.values())
     if whole > _LONG_S:
-        terminalreporter.section(f"{whole:.0f} s of a processor, by file")
-        for name, used_s in sorted(_by_file.items(), key=lambda pair: -pair[1])[:_SHOWN]:
-            terminalreporter.write_line(f"{used_s:6.1f} s  {name}")
+        terminalreporter.section(f"{whole:.0f} s of a processor; those of each file, and how long it took")
+        for name, (used_s, lasted_s) in sorted(_by_file.items(), key=lambda pair: -max(pair[1]))[:_SHOWN]:
+            terminalreporter.write_line(f"{used_s:6.1f} s {lasted_s:6.1f} s  {name}")
     if _costly:
         terminalreporter.section(f"above {_QUICK_S} s of a processor: make them cheaper, or mark them fit")
         for name, used_s in sorted(_costly.items(), key=lambda pair: -pair[1]):

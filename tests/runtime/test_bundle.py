@@ -139,6 +139,7 @@ def test_checksums_are_those_of_the_files(bundled):
     assert not any("torch" in name or "scipy" in name for name in listed)
 
 
+@pytest.mark.fit
 def test_the_service_is_one_systemd_accepts_and_finds_hardened(bundled, tmp_path):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze here")

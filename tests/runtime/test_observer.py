@@ -218,6 +218,7 @@ def test_an_observer_alone_without_filters(tmp_path):
     assert np.abs(result.values - network(features(spec, None, samples.voltage_V))[0]).max() < 2e-5 * 120
 
 
+@pytest.mark.fit
 @pytest.mark.usefixtures("engine")
 def test_heat_in_an_observer_is_remembered(trained, tmp_path):
     """Warm, off for an hour, restored from the file: the observer stands where a rest of an hour would have brought it."""

@@ -30,6 +30,7 @@ MOTOR = read_motor_file(Path(__file__).resolve().parents[2] / "models/motors/mel
 QUIET = Noise(0.0, 0.0)
 
 
+@pytest.mark.fit
 def test_targets_obey_the_motor() -> None:
     """Resistance and temperature of a cycle are one law: R = R_a0 (1 + alpha theta)."""
     recording = duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng(3))

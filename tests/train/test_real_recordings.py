@@ -44,6 +44,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.fit
 @needs_recordings
 @pytest.mark.parametrize("robot", UNSEEN)
 def test_speed_of_a_robot_not_trained_on(sensor: Path, robot: int, tmp_path: Path) -> None:
@@ -61,6 +62,7 @@ def test_speed_of_a_robot_not_trained_on(sensor: Path, robot: int, tmp_path: Pat
     assert error < 1.5, "a linear filter bank reaches 1.9 rad/s, the goal is 1.5"
 
 
+@pytest.mark.fit
 @needs_recordings
 def test_what_was_not_measured_is_not_promised(sensor: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.csv"

@@ -128,6 +128,7 @@ def test_the_failing_equation_gets_the_blame(equation: str) -> None:
     assert shares[equation] > 0.8
 
 
+@pytest.mark.fit
 def test_what_an_equation_lacks_is_the_missing_term() -> None:
     found = compare(SERVO, [bench(*MISSING["mechanical"])])
     (overlay,) = found.overlays

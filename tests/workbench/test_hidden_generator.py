@@ -68,6 +68,7 @@ def test_agrees_with_lsoda(hidden: dict[str, float]) -> None:
     assert worst.max() < tolerance, worst
 
 
+@pytest.mark.fit
 def test_order_of_convergence_is_three() -> None:
     p = plant.vector(**MOTOR.textbook, drag=3e-7, reaction=5e-4)
     x0 = plant.rest()
