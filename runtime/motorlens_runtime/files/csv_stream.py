@@ -25,7 +25,7 @@ from motorlens_runtime.files.recorded import Block, Reading
 
 Array = NDArray[np.float64]
 
-_BLOCK_BYTES = 3 << 18
+_BLOCK_BYTES = 3 << 17
 # From this size on, a library that reads faster is worth the time it takes to load.
 _LARGE_BYTES = 1 << 22
 _MAX_LINE_BYTES = 1 << 20
