@@ -96,7 +96,7 @@ uint32_t board_ticks_between(uint32_t first, uint32_t last)
     return (first - last) & 0xFFFFFFu;
 }
 
-void board_stack_mark(void)
+__attribute__((optimize("no-tree-loop-distribute-patterns"))) void board_stack_mark(void)
 {
     const uint32_t *here; /* less what this function itself may still push */
     __asm volatile("mov %0, sp" : "=r"(here));

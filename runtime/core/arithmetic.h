@@ -17,6 +17,15 @@ static inline double two_to(int32_t k)
     return result;
 }
 
+/* The same in single precision. */
+static inline float float_two_to(int32_t k)
+{
+    const uint32_t bits = (uint32_t)(127 + k) << 23;
+    float result;
+    memcpy(&result, &bits, sizeof result);
+    return result;
+}
+
 /* exp of -708 to 709: x = k ln 2 + r with |r| <= ln 2 / 2, the Taylor series of r to the 13th power (what is left is below
  * 5e-18 of it), and k into the exponent. `decay.py` has the same operations. */
 static inline double exp_between(double x)
@@ -55,8 +64,7 @@ static inline float expf_between(float x)
     const float turns = x * 1.44269504f;
     const int32_t k = (int32_t)(turns + (turns < 0.0f ? -0.5f : 0.5f));
     const float r = (x - (float)k * 0.693145752f) - (float)k * 1.42860677e-06f;
-    const uint32_t bits = (uint32_t)(127 + k) << 23;
-    float scale, p = 1.0f / 5040.0f;
+    float p = 1.0f / 5040.0f;
     p = p * r + 1.0f / 720.0f;
     p = p * r + 1.0f / 120.0f;
     p = p * r + 1.0f / 24.0f;
@@ -64,8 +72,7 @@ static inline float expf_between(float x)
     p = p * r + 0.5f;
     p = p * r + 1.0f;
     p = p * r + 1.0f;
-    memcpy(&scale, &bits, sizeof scale);
-    return p * scale;
+    return p * float_two_to(k);
 }
 
 #if MOTORLENS_LANES > 1
@@ -84,8 +91,9 @@ static inline motorlens_real real_exp(motorlens_real x)
     return (motorlens_real)motorlens_exp((double)x);
 }
 
-/* So many sums are added up side by side: a processor need not wait for one to go on, and reads each column once for all. */
-#define MOTORLENS_SUMS 4
+/* So many sums are added up side by side: a processor need not wait for one to go on, and reads each column once for all. Of
+ * whole numbers in 64 bits, a microcontroller has registers for three. */
+#define MOTORLENS_SUMS (MOTORLENS_SINGLE ? 3 : 4)
 
 /* sums[m] = weights[m][j] * columns[j], added up over j < count, at least one, in this order; for the first `wanted` of
  * MOTORLENS_SUMS sums. */

@@ -6,7 +6,9 @@
 
 void motorlens_start(const motorlens_sensor *sensor, motorlens_state *state, int64_t period_ns)
 {
-    memset(state, 0, sizeof *state);
+    volatile unsigned char *byte = (volatile unsigned char *)state; /* volatile: no library is called for it */
+    for (size_t k = 0; k < sizeof *state; k++)
+        byte[k] = 0;
     state->gate.bridged_until_ns = INT64_MIN;
     state->gate.first_move = MOTORLENS_NEVER;
     state->gate.ambient_C = sensor->gate.needs_ambient ? 0 : (motorlens_real)NAN;
@@ -61,21 +63,21 @@ uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *sta
     const int first = map->filters + map->signals;
     motorlens_signal signals[MOTORLENS_SIGNALS];
     double observed[MOTORLENS_OBSERVER] = {0};
-    int failed = 0;
-    motorlens_lanes columns[MOTORLENS_COLUMNS];
-    motorlens_real squares;
-    observe(sensor, state, sample, observed);
-    for (int k = 0; k < sensor->observer.outputs; k++)
-        failed |= !isfinite(observed[k]);
-    if (failed) {
-        for (int k = 0; k < sensor->network.outputs; k++)
+    int32_t wholes[MOTORLENS_COLUMNS];
+    float reals[MOTORLENS_REALS], squares;
+    if (MOTORLENS_OPERATIONS) { /* what has no observer brings nothing for it */
+        int failed = 0;
+        observe(sensor, state, sample, observed);
+        for (int k = 0; k < sensor->observer.outputs; k++)
+            failed |= !isfinite(observed[k]);
+        for (int k = 0; failed && k < sensor->network.outputs; k++)
             estimate[k] = sigma[k] = (motorlens_real)NAN;
-        return quality | MOTORLENS_QUALITY_NOT_FINITE;
+        if (failed)
+            return quality | MOTORLENS_QUALITY_NOT_FINITE;
     }
     motorlens_signals(map, sample, signals);
-    motorlens_whitened(sensor, state, signals, observed, columns, &squares);
-    motorlens_network_evaluate(&sensor->network, map->features, columns, (motorlens_lanes *)estimate,
-                               (motorlens_lanes *)sigma);
+    motorlens_whitened(sensor, state, signals, observed, wholes, reals, &squares);
+    motorlens_network_evaluate(sensor, wholes, reals, estimate, sigma);
     if (squares > envelope->limit)
         quality |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
     if (MOTORLENS_OPERATIONS && envelope->distrust >= 0 && observed[map->plus[envelope->distrust] - first] > 0.0)

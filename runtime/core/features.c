@@ -36,6 +36,17 @@ static int64_t value_of(const motorlens_sensor *sensor, const motorlens_state *s
     return column < filters ? state->bank.value[column] : signals[column - filters];
 }
 
+/* A whole number without its last places, from 1 to 31 of them, in 32 bits; at the end of their range where it does not fit. */
+static int32_t without(int64_t number, int places)
+{
+    const int32_t high = (int32_t)(number >> 32), most = INT32_C(1) << (places - 1);
+    if (high >= most)
+        return INT32_MAX;
+    if (high < -most)
+        return -INT32_MAX;
+    return (int32_t)((uint32_t)high << (32 - places) | (uint32_t)number >> places);
+}
+
 /* The distance of a feature from its mean in 32 bits, or, without whitening, in single precision. */
 static int32_t look_at(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
                        const double *observed, int feature, float *plain)
@@ -44,7 +55,6 @@ static int32_t look_at(const motorlens_sensor *sensor, const motorlens_state *st
     const motorlens_envelope *envelope = &sensor->envelope;
     const int plus = map->plus[feature], minus = map->minus[feature], shift = envelope->shift[feature];
     int64_t distance;
-    int32_t high, most;
 #if MOTORLENS_OPERATIONS
     const int first = map->filters + map->signals;
     if (plus >= first) {
@@ -60,40 +70,35 @@ static int32_t look_at(const motorlens_sensor *sensor, const motorlens_state *st
     if (minus != UINT16_MAX)
         distance -= value_of(sensor, state, signals, minus);
     if (envelope->whitening == NULL)
-        *plain = real_of(distance) * envelope->unit[feature];
-    /* From 1 to 31 places; the mean has half a place in it, so that this rounds. */
-    high = (int32_t)(distance >> 32);
-    most = INT32_C(1) << (shift - 1);
-    if (high >= most)
-        return INT32_MAX;
-    if (high < -most)
-        return -INT32_MAX;
-    return (int32_t)((uint32_t)high << (32 - shift) | (uint32_t)distance >> shift);
+        *plain = real_of(distance) * float_two_to(envelope->unit[feature]);
+    return without(distance, shift); /* the mean has half a place in it, so that this rounds */
 }
 
-/* In whole numbers, so that small differences of large products lose nothing, and in few instructions. */
+/* Where the features stand among those trained on, into `wholes`; without an envelope, their distance from the mean into `reals`.
+ * In whole numbers, so that small differences of large products lose nothing, and in few instructions. */
 void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
-                        const double *observed, motorlens_lanes *columns, motorlens_real *squares)
+                        const double *observed, int32_t *wholes, float *reals, float *squares)
 {
+    const motorlens_envelope *envelope = &sensor->envelope;
     const int count = sensor->features.features;
-    const int32_t *weight = sensor->envelope.whitening;
+    const int32_t *weight = envelope->whitening;
     int32_t apart[MOTORLENS_FEATURES];
+    float length = 0.0f;
     for (int k = 0; k < count; k++)
-        apart[k] = look_at(sensor, state, signals, observed, k, columns[k]);
-    *squares = 0.0f;
-    if (weight == NULL)
-        return;
-    for (int k = 0; k < count; k++) {
-        const int32_t *x = apart + k, *const end = apart + count;
-        int64_t sum = 0;
-        float z;
-        do {
-            sum += (int64_t)*weight++ * *x++;
-        } while (x < end);
-        z = real_of(sum) * sensor->envelope.unit[k];
-        columns[k][0] = z;
-        *squares += z * z;
+        apart[k] = look_at(sensor, state, signals, observed, k, reals + k);
+    for (int k = 0; k < count && weight != NULL; k += MOTORLENS_SUMS) {
+        const int wanted = count - k < MOTORLENS_SUMS ? count - k : MOTORLENS_SUMS;
+        int64_t sums[MOTORLENS_SUMS];
+        motorlens_wide_sums(weight, apart + k, count - k, sums, wanted);
+        weight += wanted * (count - k);
+        for (int m = 0; m < wanted; m++) {
+            const int32_t place = without(sums[m], envelope->places[k + m]);
+            const float z = (float)place * float_two_to(envelope->unit[k + m]);
+            wholes[k + m] = place;
+            length += z * z;
+        }
     }
+    *squares = length;
 }
 
 #else

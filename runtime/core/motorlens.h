@@ -85,8 +85,9 @@ typedef struct {
     const int64_t *mean;             /* (features), in the unit of the feature's signal */
     const uint8_t *shift;            /* (features) to the 32 bits in which its distance from the mean is kept */
     const double *observed_mean, *observed_scale; /* the same for each output of the observer */
-    const int32_t *whitening;        /* as below, in whole numbers */
-    const float *unit;               /* (features) of z; without whitening, of the distance from the mean */
+    const int32_t *whitening;        /* as below, in whole numbers: three columns each from the diagonal of the first */
+    const uint8_t *places;           /* (features) from sums with it to the 32 bits in which z is kept */
+    const int8_t *unit;              /* (features) 2 to this of z; without whitening, of the distance from the mean */
     float limit;
     int32_t distrust;
 } motorlens_envelope;
@@ -104,6 +105,30 @@ enum {
     MOTORLENS_SOFTPLUS, MOTORLENS_LOG, MOTORLENS_DIV, MOTORLENS_ABS, MOTORLENS_RECIPROCAL, MOTORLENS_MAX, MOTORLENS_MIN
 };
 
+#if MOTORLENS_SINGLE
+/* What a step works on: `width` sums over columns in whole numbers and over real ones, see whole_network.c; or, where there are no
+ * weights, the real columns from `real_start` on. */
+typedef struct {
+    const void *weights;       /* (width, columns) of 32 bits, or, where narrow, of 16 */
+    const int8_t *units;       /* (width) 2 to this is what one of such a sum is worth */
+    const float *real_weights; /* (width, reals) */
+    MOTORLENS_COLUMN start, columns, real_start, reals;
+    uint8_t narrow;
+} motorlens_argument;
+
+typedef struct {
+    uint8_t function, width;
+    const motorlens_argument *argument[2]; /* of a function of one, twice the same */
+    float low, high;                       /* of MOTORLENS_CLIP */
+} motorlens_step;
+
+/* The folded core graph: columns are what it reads of the features, a one, and what the steps add. */
+typedef struct {
+    const motorlens_step *steps;
+    uint16_t count, outputs;
+    const motorlens_argument *estimate, *sigma;
+} motorlens_network;
+#else
 /* What a step works on: the columns from `start` on, or, with weights, `width` sums over so many of them. */
 typedef struct {
     const motorlens_real *weights; /* (width, columns) */
@@ -125,6 +150,7 @@ typedef struct {
     motorlens_argument estimate, sigma;
     const motorlens_real *offset; /* (outputs) constants of the estimate, added last */
 } motorlens_network;
+#endif
 
 enum {
     MOTORLENS_OP_ADD, MOTORLENS_OP_SUB, MOTORLENS_OP_MUL, MOTORLENS_OP_DIV, MOTORLENS_OP_NEG, MOTORLENS_OP_POW,
@@ -250,15 +276,18 @@ void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state 
 void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, motorlens_signal *signals);
 #if MOTORLENS_SINGLE
 void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
-                        const double *observed, motorlens_lanes *columns, motorlens_real *squares);
+                        const double *observed, int32_t *wholes, float *reals, float *squares);
+void motorlens_network_evaluate(const motorlens_sensor *sensor, int32_t *wholes, float *reals, float *estimate, float *sigma);
+void motorlens_narrow_sums(const int16_t *weights, const int32_t *columns, int count, int64_t *sums, int wanted);
+void motorlens_wide_sums(const int32_t *weights, const int32_t *columns, int count, int64_t *sums, int wanted);
 #else
 void motorlens_bank_values(const motorlens_features *map, const motorlens_bank_state *state, double *values);
 void motorlens_features_of(const motorlens_features *map, const motorlens_lanes *known, motorlens_lanes *features);
 void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_lanes *features, motorlens_lanes *columns,
                         double *squares);
-#endif
 void motorlens_network_evaluate(const motorlens_network *network, int features, motorlens_lanes *columns,
                                 motorlens_lanes *estimate, motorlens_lanes *sigma);
+#endif
 int motorlens_program_run(const motorlens_program *program, const double *inputs, double *results);
 int motorlens_observer_advance(const motorlens_observer *observer, double *state, const motorlens_sample *sample,
                                double dt_s);

@@ -1,8 +1,9 @@
 /* The folded core graph: for each step some sums of products over the columns so far, and a function. As `backend.NumpyBackend`. */
 #include <math.h>
 
-#include "motorlens.h"
 #include "arithmetic.h"
+
+#if !MOTORLENS_SINGLE
 
 /* Sums of products in the order of the columns, each row of the batch for itself. */
 static const motorlens_lanes *value_of(const motorlens_argument *argument, int width, const motorlens_lanes *columns,
@@ -133,3 +134,5 @@ void motorlens_network_evaluate(const motorlens_network *network, int features, 
         for (int lane = 0; lane < MOTORLENS_LANES; lane++)
             sigma[k][lane] = value[k][lane];
 }
+
+#endif

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from motorlens_runtime.sensor.core_library import source_folder
 from motorlens_runtime.sensor.tables import Argument, Program, Tables
+from motorlens_runtime.sensor.whole_tables import WholeArgument
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,8 @@ def config(tables: Tables, single: bool) -> str:
     largest = max((p.registers + len(p.constants) for p in programs), default=1)
     room = {
         "LANES": 1, "FILTERS": len(tables.tau_s), "FEATURES": len(tables.mean), "SIGNALS": len(tables.factors),
-        "WIDTH": tables.width, "COLUMNS": tables.columns, "OUTPUTS": len(tables.offset),
+        "WIDTH": tables.width, "COLUMNS": tables.columns - (tables.reals if single else 0),
+        "REALS": tables.reals if single else 0, "OUTPUTS": len(tables.offset),
         "OBSERVER": max(observer.size, observer.outputs) if observer else 1,
         "REGISTERS": max((p.registers for p in programs), default=1),
     }  # fmt: skip
@@ -64,6 +66,7 @@ def config(tables: Tables, single: bool) -> str:
 typedef {"float" if single else "double"} motorlens_real; /* of measurements and network; the observer is double */
 
 {lines}
+#define MOTORLENS_COLUMN {"uint8_t" if tables.columns <= 256 else "uint16_t"}
 #define MOTORLENS_REGISTER {"uint8_t" if largest <= 256 else "uint16_t"}
 #define MOTORLENS_FUNCTIONS {functions:#x}u
 #define MOTORLENS_OPERATIONS {operations:#x}u
@@ -146,16 +149,10 @@ class _Printer:
             self._put("uint16_t", "minus", map(str, t.minus)),
         ]  # fmt: skip
         envelope = [*self._envelope(t), self._real(t.limit), str(t.distrust)]
-        steps = [
-            f"{{{step.function}, {3 if step.shared else len(step.arguments)}, {step.width}, "
-            f"{{{', '.join(self._argument(a) for a in (*step.arguments, *step.arguments)[:2])}}}, "
-            f"{self._real(step.limits[0])}, {self._real(step.limits[1])}}}"
-            for step in t.steps
-        ]
-        network = [
-            self._put("motorlens_step", "steps", steps), str(len(t.steps)), str(len(t.offset)), self._argument(t.estimate),
-            self._argument(t.sigma), self._put("motorlens_real", "offset", map(self._real, t.offset)),
-        ]  # fmt: skip
+        if t.whole is not None:
+            network = self._whole_network(t)
+        else:
+            network = self._network(t)
         watching = (
             "{{0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}, 0, 0, 0, 0, 1.0, 0.0}"
         )
@@ -190,6 +187,54 @@ const motorlens_sensor {name}_sensor = {{
     {watching}}};
 """
 
+    def _network(self, t: Tables) -> list[str]:
+        steps = [
+            f"{{{step.function}, {3 if step.shared else len(step.arguments)}, {step.width}, "
+            f"{{{', '.join(self._argument(a) for a in (*step.arguments, *step.arguments)[:2])}}}, "
+            f"{self._real(step.limits[0])}, {self._real(step.limits[1])}}}"
+            for step in t.steps
+        ]
+        return [
+            self._put("motorlens_step", "steps", steps), str(len(t.steps)), str(len(t.offset)), self._argument(t.estimate),
+            self._argument(t.sigma), self._put("motorlens_real", "offset", map(self._real, t.offset)),
+        ]  # fmt: skip
+
+    def _whole_network(self, t: Tables) -> list[str]:
+        """In single precision: arguments in a table of their own, each once."""
+        listed: list[WholeArgument] = []
+        for argument in (*(a for step in t.steps for a in step.arguments), t.estimate, t.sigma):
+            assert isinstance(argument, WholeArgument)
+            if not any(argument is other for other in listed):
+                listed.append(argument)
+        self._put(
+            "motorlens_argument", "arguments", [self._whole_argument(a, k) for k, a in enumerate(listed)]
+        )
+
+        def pointer(argument: object) -> str:
+            at = next(k for k, other in enumerate(listed) if other is argument)
+            return f"{self._name}_arguments + {at}"
+
+        steps = [
+            f"{{{step.function}, {step.width}, {{{pointer(step.arguments[0])}, {pointer(step.arguments[-1])}}}, "
+            f"{self._real(step.limits[0])}, {self._real(step.limits[1])}}}"
+            for step in t.steps
+        ]
+        return [
+            self._put("motorlens_step", "steps", steps), str(len(t.steps)), str(len(t.offset)), pointer(t.estimate),
+            pointer(t.sigma),
+        ]  # fmt: skip
+
+    def _whole_argument(self, a: WholeArgument, number: int) -> str:
+        weights = units = reals = "0"
+        if a.weights.size:
+            kind = "int16_t" if a.narrow else "int32_t"
+            weights = self._put(kind, f"weights_{number}", map(str, a.weights.reshape(-1).tolist()))
+            units = self._put("int8_t", f"units_{number}", map(str, a.units.tolist()))
+        if a.reals is not None and (a.reals.size or not a.weights.size):
+            reals = self._put("float", f"reals_{number}", map(_float, a.reals.reshape(-1)))
+        count = 0 if a.reals is None else a.reals.shape[1]
+        return f"{{{weights}, {units}, {reals}, {a.start}, {a.weights.shape[1]}, {a.real_start}, {count}, {int(a.narrow)}}}"
+
     def _filters(self, t: Tables) -> list[str]:
         if t.whole is None:
             return [self._put("double", "tau_s", map(_double, t.tau_s))]
@@ -211,14 +256,16 @@ const motorlens_sensor {name}_sensor = {{
         ] if len(t.whole.observed) else ["0", "0"]  # fmt: skip
         return [
             self._put("int64_t", "mean", map(_whole, t.whole.mean)), self._put("uint8_t", "shift", map(str, t.whole.shift)),
-            *observed, triangle, self._put("float", "unit", map(_float, t.whole.unit)),
+            *observed, triangle, self._put("uint8_t", "places", map(str, t.whole.places)),
+            self._put("int8_t", "unit", map(str, t.whole.unit.tolist())),
         ]  # fmt: skip
 
     def _put(self, kind: str, label: str, values: Iterable[str]) -> str:
         self._tables.append(_table(kind, f"{self._name}_{label}", values))
         return f"{self._name}_{label}"
 
-    def _argument(self, argument: Argument) -> str:
+    def _argument(self, argument: Argument | WholeArgument) -> str:
+        assert isinstance(argument, Argument)
         if argument.weights is None:
             return f"{{0, {argument.start}, 0}}"
         if id(argument) not in self._arguments:

@@ -24,6 +24,7 @@ from motorlens_runtime.sensor.core_library import (
     limits,
 )
 from motorlens_runtime.sensor.tables import Argument, Program, Tables
+from motorlens_runtime.sensor.whole_tables import WholeArgument
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,8 @@ class CoreBackend:
             observer = ObserverTable(*programs, o.size, o.window, o.time, o.outputs, o.full_s, o.ambient_C)
         return SensorTable(gate, features, envelope, network, observer)
 
-    def _argument(self, argument: Argument) -> Any:
+    def _argument(self, argument: Argument | WholeArgument) -> Any:
+        assert isinstance(argument, Argument)
         if argument.weights is None:
             return ArgumentTable(None, argument.start, 0)
         return ArgumentTable(

@@ -123,8 +123,9 @@ def prove(files: Mapping[str, str]) -> Proof | None:
 
 def _card(sensor: Sensor, name: str, single: bool, proof: Proof | None) -> str:
     precision = (
-        "Measurements and network are in single precision, filters in whole numbers of 64 bits, the features' distance\n"
-        "from where the sensor was trained in 32; an observer computes in double, which such a core does in software."
+        "Measurements are in single precision, filters in whole numbers of 64 bits, the features' distance from where the\n"
+        "sensor was trained and the network's columns in 32; an observer computes in double, which such a core does in\n"
+        "software."
         if single
         else "All is computed in double precision."
     )

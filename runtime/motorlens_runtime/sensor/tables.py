@@ -1,12 +1,10 @@
 """A sensor as the tables that the C core computes with: for the shared object of the PC, and printed by `motorlens export`.
 
-The distance from the training data is the length of z = L' (x - mean), with L of the envelope. In single precision filters
-and z are computed in whole numbers (`WholeTables`), and the network reads z: the matrices of the folded graph become those
-over z. In double it reads x - mean: there the change of basis would cost more (1e-10 of scale with the shipped observer)
-than it gains.
+The distance from the training data is the length of z = L' (x - mean), with L of the envelope. In single precision the
+network reads z, and both are computed in whole numbers (`whole_tables`). In double it reads x - mean: there the change of
+basis would cost more (1e-10 of scale with the shipped observer) than it gains.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import ModelError
-from motorlens_runtime.estimate.features import NO_COLUMN, FeatureMap
+from motorlens_runtime.estimate.features import FeatureMap
 from motorlens_runtime.estimate.gate import GateLimits, limits_of
 from motorlens_runtime.sensor.folded import Folded, Linear, centred
 from motorlens_runtime.sensor.specification import Specification
+from motorlens_runtime.sensor.whole_tables import (
+    BOUNDED_FUNCTIONS,
+    SIDE_BY_SIDE,
+    WholeArgument,
+    WholeColumns,
+    WholeTables,
+    whole_tables_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -45,7 +51,7 @@ class NetworkStep:
 
     function: int
     width: int
-    arguments: tuple[Argument, ...]
+    arguments: tuple[Argument | WholeArgument, ...]
     shared: bool
     limits: tuple[float, float]
 
@@ -78,28 +84,6 @@ class ObserverTables:
 
 
 @dataclass(frozen=True, eq=False)
-class WholeTables:
-    """How a core without double keeps filters and features: a signal of exponent e as its value times 2^(60 - e), 60 bits
-    for what lies within 2^e; a feature's distance from its mean in 32 bits, 2^(31 - r) to one.
-
-    Attributes:
-        units: (U,) 2^(28 - e) of each signal.
-        mean: (F,) of the features, in the unit of their signal, half a place of the 32 bits lower; 0 for the observer's.
-        shift: (F,) from that unit to 32 bits, 1 to 31.
-        observed: (M, 2) mean and 2^(31 - r) of each output of the observer.
-        whitening: (F, F) lower triangular, whole numbers; empty without an envelope.
-        unit: (F,) of z; without an envelope, of the distance from the mean.
-    """
-
-    units: Array
-    mean: tuple[int, ...]
-    shift: tuple[int, ...]
-    observed: Array
-    whitening: NDArray[np.int64]
-    unit: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Tables:
     """F features, S filters, U signals, K outputs. `mean` (F,), `whitening` (F, F) lower triangular or None, `offset` (K,)
     is added to the estimate last; `distrust` is the feature above 0 where the observer is not to be believed, -1 none."""
@@ -118,8 +102,8 @@ class Tables:
     whole: WholeTables | None
     distrust: int
     steps: tuple[NetworkStep, ...]
-    estimate: Argument
-    sigma: Argument
+    estimate: Argument | WholeArgument
+    sigma: Argument | WholeArgument
     offset: Array
     observer: ObserverTables | None
 
@@ -129,12 +113,21 @@ class Tables:
         return len(self.mean) + 1 + sum(step.width for step in self.steps)
 
     @property
+    def reals(self) -> int:
+        """Of these, in single precision, those that are no whole numbers."""
+        read = 0 if self.whitening is not None else len(self.mean)
+        return read + sum(
+            step.width for step in self.steps if FUNCTIONS[step.function] not in BOUNDED_FUNCTIONS
+        )
+
+    @property
     def triangle(self) -> Array:
-        """The columns of the whitening's lower triangle, one after another; empty without one."""
-        matrix = self.whitening if self.whole is None else self.whole.whitening
+        """The columns of the whitening's lower triangle, one after another; in whole numbers `SIDE_BY_SIDE` of them at a
+        time, all from the diagonal of the first. Empty without one."""
+        matrix, together = (self.whitening, 1) if self.whole is None else (self.whole.whitening, SIDE_BY_SIDE)
         if matrix is None or not len(matrix):
             return np.zeros(0)
-        return np.concatenate([column[k:] for k, column in enumerate(matrix.T)])
+        return np.concatenate([column[k // together * together :] for k, column in enumerate(matrix.T)])
 
     @property
     def width(self) -> int:
@@ -169,14 +162,14 @@ def tables_of(specification: Specification, folded: Folded, single: bool = False
     whole = None
     if single:
         # The basis is that of the rounded numbers, so rounding them costs nothing.
-        whole, whitening = _whole(specification, feature_map, mean, whitening)
+        whole, whitening = whole_tables_of(specification, feature_map, mean, whitening)
     folded = centred(folded, envelope.mean)
-    basis = _Basis(F, whitening if single else None)
-    made: dict[int, Argument] = {}
+    made: dict[int, Argument | WholeArgument] = {}
+    columns = None if whole is None else WholeColumns(folded, whole, whitening)
 
-    def argument(linear: Linear) -> Argument:
+    def argument(linear: Linear) -> Argument | WholeArgument:
         if id(linear) not in made:
-            made[id(linear)] = _argument(basis.over(linear.weights), F)
+            made[id(linear)] = _argument(linear.weights, F) if columns is None else columns.argument(linear)
         return made[id(linear)]
 
     def placed(column: int) -> int:
@@ -190,9 +183,14 @@ def tables_of(specification: Specification, folded: Folded, single: bool = False
         given = tuple(argument(linear) for linear in step.arguments)
         shared = len(given) == 2 and given[0] is given[1]
         steps.append(NetworkStep(FUNCTIONS.index(step.name), step.width, given, shared, step.limits))
-    estimate = basis.over(folded.estimate.weights)
-    offset = estimate[:, F].copy()
-    estimate[:, F] = 0.0
+    # A constant is added last in double; in whole numbers it is one more product.
+    offset = folded.estimate.weights[:, F].copy()
+    if columns is None:
+        weights = folded.estimate.weights.copy()
+        weights[:, F] = 0.0
+        estimate: Argument | WholeArgument = _argument(weights, F)
+    else:
+        estimate = argument(folded.estimate)
     return Tables(
         gate=limits_of(specification), needs_ambient=specification.needs_ambient,
         resistance_ohm=specification.resistance_ohm,
@@ -200,101 +198,9 @@ def tables_of(specification: Specification, folded: Folded, single: bool = False
         tau_s=tuple(f.tau_s for f in specification.filters),
         plus=tuple(map(placed, feature_map.plus)), minus=feature_map.minus,
         mean=mean, whitening=whitening, limit=envelope.limit, whole=whole, distrust=specification.distrust,
-        steps=tuple(steps), estimate=_argument(estimate, F), sigma=argument(folded.sigma), offset=offset,
+        steps=tuple(steps), estimate=estimate, sigma=argument(folded.sigma), offset=offset,
         observer=_observer(specification),
     )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _Basis:
-    features: int
-    whitening: Array | None
-
-    def over(self, weights: Array) -> Array:
-        """Weights (width, C) over features, a one and steps as those over what the network reads, the one and steps."""
-        result = weights.copy()
-        if self.whitening is not None:
-            result[:, : self.features] = np.linalg.solve(self.whitening, weights[:, : self.features].T).T
-        return result
-
-
-# What a signal is a product of, at most: within the trained range, and before a number is taken for rubbish.
-_AMBIENT_C = 100.0
-# The same for an output of the observer where features have no envelope.
-_UNLIMITED = 65536.0
-# A feature is kept as far as so many times where the envelope ends; what is further away is outside by far.
-_BEYOND = 16.0
-
-
-def _whole(
-    specification: Specification, feature_map: FeatureMap, mean: Array, whitening: Array | None
-) -> tuple[WholeTables, Array | None]:
-    """Whole-number tables, and the whitening that they hold in fact. Raises ModelError if a feature has no place in them."""
-    limits = limits_of(specification)
-    trained, absurd = (
-        (1.0, volts, amperes, volts + abs(specification.resistance_ohm) * amperes, _AMBIENT_C)
-        for volts, amperes in (
-            (max(map(abs, limits.range[:2])), max(map(abs, limits.range[2:]))), (limits.absurd_V, limits.absurd_A),
-        )
-    )  # fmt: skip
-    signals, filters = len(feature_map.factors), feature_map.filter_signals
-    first = len(filters) + (signals if feature_map.uses_signals else 0)
-
-    def signal_of(column: int) -> int:
-        return filters[column] if column < len(filters) else column - len(filters)
-
-    exponents = [math.frexp(absurd[a] * absurd[b])[1] for a, b in feature_map.factors]
-    pairs = [
-        (signal_of(p), signal_of(m))
-        for p, m in zip(feature_map.plus, feature_map.minus, strict=True)
-        if m != NO_COLUMN
-    ]
-    for _ in pairs:  # signals of which differences are taken share a unit
-        for one, other in pairs:
-            exponents[one] = exponents[other] = max(exponents[one], exponents[other])
-    F = len(mean)
-    means, shifts, ranges = [0] * F, [0] * F, [0] * F
-    observed = np.zeros((0 if specification.observer is None else specification.observer.outputs, 2))
-    unit, furthest = np.ones(F), np.full(F, np.inf)
-    if whitening is not None:
-        sd = np.linalg.norm(np.linalg.inv(whitening), axis=0)
-        furthest = _BEYOND * math.sqrt(specification.envelope.limit) * sd
-    for k, (plus, minus) in enumerate(zip(feature_map.plus, feature_map.minus, strict=True)):
-        if plus >= first:
-            ranges[k] = math.frexp(min(furthest[k], _UNLIMITED))[1]
-            observed[plus - first] = mean[k], 2.0 ** (31 - ranges[k])
-            continue
-        signal = signal_of(plus)
-        a, b = feature_map.factors[signal]
-        reach = trained[a] * trained[b] * (1.0 if minus == NO_COLUMN else 2.0)
-        # Twice what the trained range gives, about the mean.
-        ranges[k] = math.frexp(min(2.0 * reach + abs(mean[k]), furthest[k]))[1]
-        shifts[k] = min(max(29 - exponents[signal] + ranges[k], 1), 31)
-        half = 0 if whitening is None else 1 << (shifts[k] - 1)
-        means[k] = round(mean[k] * 2.0 ** (60 - exponents[signal])) - half
-        ranges[k] = shifts[k] - 29 + exponents[signal]
-        unit[k] = 2.0 ** (exponents[signal] - 60)
-    units = np.array([2.0 ** (28 - e) for e in exponents])
-    if whitening is None:
-        return WholeTables(
-            units, tuple(means), tuple(shifts), observed, np.zeros((0, 0), dtype=np.int64), unit
-        ), None
-    scaled = whitening * (2.0 ** (np.array(ranges) - 31))[:, None]
-    # Sums of products with 32-bit numbers stay below 2^63.
-    places = 30 - np.frexp(np.abs(scaled).sum(axis=0))[1]
-    numbers = np.round(scaled * 2.0**places).astype(np.int64)
-    if not np.diag(numbers).all():
-        raise ModelError(
-            "its features are too different in size for single precision; export it with --double"
-        )
-    kept = (
-        numbers
-        * 2.0 ** (-places.astype(np.float64))
-        * (2.0 ** (31 - np.array(ranges, dtype=np.float64)))[:, None]
-    )
-    return WholeTables(
-        units, tuple(means), tuple(shifts), observed, numbers, 2.0 ** (-places.astype(np.float64))
-    ), kept
 
 
 def _argument(weights: Array, one: int) -> Argument:
