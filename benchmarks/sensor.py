@@ -6,7 +6,10 @@
     python benchmarks/sensor.py worlds --count 400 --seed 1 [--cell noise=2-4] [SENSOR.onnx ...]
                                                 sensor files (the shipped ones) in worlds they were not made in
     python benchmarks/sensor.py changes [--drives 12] [--day] [SENSOR.onnx ...]
-                                                noise that jumps, a voltage scale that is off, a day at constant load
+                                                noise that jumps, a voltage scale that is off, a drop that the motor
+                                                file lacks, a day at constant load
+    python benchmarks/sensor.py bounds [--drives 10] [SENSOR.onnx ...]
+                                                beside the posterior Cramer-Rao bound, by excitation
 
 Errors count from one second after the first voltage step. Every start temperature is unknown to every method. The bound's
 genie is told when and by how much the load jumps; no estimator knows that. The paper's row alone is judged by the largest
@@ -19,6 +22,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from sensor_rows.bounds import bounds
 from sensor_rows.changes import changes
 from sensor_rows.common import ROOT, Size
 from sensor_rows.motor import ambient, hot_restart, paper, unseen
@@ -26,6 +30,7 @@ from sensor_rows.others import brush, magnet, node, tolerance
 from sensor_rows.wheels import fra233, wheels
 from sensor_rows.worlds import worlds
 
+OBSERVER = ROOT / "models" / "sensors" / "mellah2016_observer.onnx"
 ROWS: dict[str, Callable[[Size, bool], None]] = {
     row.__name__: row
     for row in (paper, unseen, hot_restart, ambient, tolerance, magnet, brush, node, wheels, fra233)
@@ -42,7 +47,7 @@ def _worlds(arguments: list[str]) -> int:
         "--cell", action="append", default=[], metavar="FACTOR=CELL", help="chosen, not drawn"
     )
     chosen = parser.parse_args(arguments)
-    shipped = [ROOT / "models" / "sensors" / f"{name}.onnx" for name in ("mellah2016_observer", "mellah2016")]
+    shipped = [OBSERVER, OBSERVER.with_name("mellah2016.onnx")]
     wrong = [worlds(path, chosen.count, chosen.seed, chosen.cell) for path in chosen.sensors or shipped]
     return int(any(wrong))
 
@@ -54,12 +59,23 @@ def _changes(arguments: list[str]) -> int:
     parser.add_argument("--drives", type=int, default=12, help="of each row")
     parser.add_argument("--day", action="store_true", help="24 h at constant load as well")
     chosen = parser.parse_args(arguments)
-    shipped = [ROOT / "models" / "sensors" / "mellah2016_observer.onnx"]
-    wrong = [changes(path, chosen.drives, chosen.day) for path in chosen.sensors or shipped]
+    wrong = [changes(path, chosen.drives, chosen.day) for path in chosen.sensors or [OBSERVER]]
     return int(any(wrong))
 
 
+def _bounds(arguments: list[str]) -> int:
+    """`bounds`: a sensor file's errors beside the least possible; 1 where a ratio is larger than asked."""
+    parser = argparse.ArgumentParser(prog="sensor.py bounds", description=_bounds.__doc__)
+    parser.add_argument("sensors", nargs="*", type=Path, metavar="SENSOR.onnx")
+    parser.add_argument("--drives", type=int, default=10, help="of each row")
+    chosen = parser.parse_args(arguments)
+    missed = [bounds(path, chosen.drives) for path in chosen.sensors or [OBSERVER]]
+    return int(any(missed))
+
+
 def main() -> int:
+    if sys.argv[1:2] == ["bounds"]:
+        return _bounds(sys.argv[2:])
     if sys.argv[1:2] == ["worlds"]:
         return _worlds(sys.argv[2:])
     if sys.argv[1:2] == ["changes"]:

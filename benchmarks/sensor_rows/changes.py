@@ -24,7 +24,12 @@ def changes(path: Path, seeds: int, day: bool) -> int:
     """Print one line a row: how much is good, how often 95 % intervals hold, errors; the number confidently wrong."""
     sensor, wrong = load_sensor(str(path)), 0
     print(f"\n## {path.name}: what changes under it, {seeds} drives each\n{_HEAD}")
-    for name, rows in (("noise x 5", _louder), ("noise / 5", _quieter), ("voltage + 3 %", _scaled)):
+    for name, rows in (
+        ("noise x 5", _louder),
+        ("noise / 5", _quieter),
+        ("voltage + 3 %", _scaled),
+        ("drop missing", _dropped),
+    ):
         found = [judged(sensor, *row) for row in rows(seeds)]
         wrong += _show(name, found)
     if day:
@@ -84,6 +89,12 @@ def _quieter(seeds: int) -> Iterator[tuple[World, Recorded]]:
 def _scaled(seeds: int) -> Iterator[tuple[World, Recorded]]:
     for world, recorded in _drives(seeds, "0.5-2"):
         yield world, replace(recorded, voltage_V=1.03 * recorded.voltage_V)
+
+
+def _dropped(seeds: int) -> Iterator[tuple[World, Recorded]]:
+    for world, _ in _drives(seeds, "0.5-2"):
+        lacking = at(world, lacks="brush drop")
+        yield lacking, record(lacking, DRIVE)
 
 
 def _day() -> tuple[World, Recorded]:

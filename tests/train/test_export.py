@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import onnx
 import onnxruntime as ort
 import pytest
 import torch
+from helpers.sensors import small_sensor
 
 from motorlens_runtime.errors import ModelError
 from motorlens_runtime.sensor.sensor import load_sensor
@@ -116,3 +118,27 @@ def test_metadata_hold_the_whole_specification(built: Built, tmp_path: Path) -> 
 def test_only_one_seal() -> None:
     with pytest.raises(ValueError, match="one seal"):
         sealed(b"nothing")
+
+
+@pytest.mark.fit
+def test_away_from_where_it_was_trained_a_network_leaves_the_observer_alone() -> None:
+    """Inside its cloud as before, from once to twice the limit less and less, beyond that nothing; in graph and torch."""
+    built = small_sensor(observed=True).sensor
+    cloud, frame = built.envelope.cloud, built.frame
+    assert cloud is not None and built.learned is not None and frame is not None
+    # On so few cycles nothing is borne out: a constant correction, so that something fades.
+    shifted = replace(built.learned.targets, mean=torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64))
+    learned = replace(built.learned, targets=shifted)
+    sensor = replace(built, learned=learned)
+    # Steps along one whitened direction, so that the squared distance is what it is meant to be.
+    away = np.linalg.solve(cloud.precision_cholesky.T, np.eye(len(cloud.mean))[0])
+    squared = cloud.limit * np.array([0.0, 0.5, 1.0, 1.25, 1.5, 2.0, 9.0])
+    x = cloud.mean + np.sqrt(squared)[:, None] * away
+    share = np.array([1.0, 1.0, 1.0, 0.75, 0.5, 0.0, 0.0])[:, None]
+    start, deviation = frame.start(x)
+    mean, sigma = learned.evaluate(x)
+    expected = start + deviation * share * mean, deviation * (share * sigma + 1 - share)
+    assert np.abs(mean).max() > 0.1
+    for found in (sensor.evaluate(x), run(core_graph(sensor, {}), {"features": x})):
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(other).max())

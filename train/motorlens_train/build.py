@@ -170,7 +170,8 @@ def envelope(cycles: Sequence[Cycle]) -> Envelope:
     # the fence is to stop what is far away, not what is slightly skew.
     diagonal = np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0)
     covariance = covariance + 0.01 * np.diag(diagonal)
-    factor = np.linalg.cholesky(np.linalg.inv(covariance))
+    # The file holds float32 numbers.
+    factor = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32).astype(np.float64)
     distance = (((x - mean) @ factor) ** 2).sum(1)
     return Envelope(
         (min(c.voltage_V[0] for c in cycles), max(c.voltage_V[1] for c in cycles)),

@@ -20,7 +20,7 @@ from onnx import TensorProto, helper, numpy_helper
 from motorlens_train.features import wiring
 from motorlens_train.observer.nodes import observer_nodes
 from motorlens_train.sensor import Learned, Sensor
-from motorlens_train.specification import Bank
+from motorlens_train.specification import Bank, Cloud
 
 OPSET, IR_VERSION = 17, 8
 SEAL = "motorlens.sha256"
@@ -165,8 +165,24 @@ def _network(graph: "_Graph", sensor: Sensor, features: str) -> tuple[str, str]:
     if sensor.learned is None:
         return start, deviation
     mean, sigma = _learned(graph, sensor.learned, features)
+    cloud = sensor.envelope.cloud
+    if cloud is not None:
+        share = _near(graph, cloud, features, len(sensor.promised))
+        mean = graph.add("Mul", [share, mean])
+        one = graph.exact(np.ones(len(sensor.promised)))
+        sigma = graph.add("Add", [graph.add("Mul", [share, graph.add("Sub", [sigma, one])]), one])
     estimate = graph.add("Add", [start, graph.add("Mul", [deviation, mean])])
     return estimate, graph.add("Mul", [deviation, sigma])
+
+
+def _near(graph: "_Graph", cloud: Cloud, features: str, outputs: int) -> str:
+    """`Cloud.near`, once for each output `[N, K]`."""
+    centred = graph.add("Sub", [features, graph.exact(cloud.mean)])
+    white = graph.add("MatMul", [centred, graph.weights(cloud.precision_cholesky)])
+    total = np.full((len(cloud.mean), outputs), -1 / cloud.limit)
+    distance = graph.add("MatMul", [graph.add("Mul", [white, white]), graph.exact(total)])
+    limits = [graph.exact(np.array(limit)) for limit in (0.0, 1.0)]
+    return graph.add("Clip", [graph.add("Add", [distance, graph.exact(np.full(outputs, 2.0))]), *limits])
 
 
 def _learned(graph: "_Graph", learned: Learned | None, features: str) -> tuple[str, str]:

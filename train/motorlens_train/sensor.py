@@ -87,4 +87,7 @@ class Sensor:
         if self.learned is None:
             return estimate, deviation
         mean, sigma = self.learned.evaluate(features)
-        return estimate + deviation * mean, deviation * sigma
+        # A network mends where it was trained; away from there its part fades, and the observer stands alone.
+        cloud = self.envelope.cloud
+        share = np.ones((len(features), 1)) if cloud is None else cloud.near(features)[:, None]
+        return estimate + deviation * share * mean, deviation * (1 + share * (sigma - 1))

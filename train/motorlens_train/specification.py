@@ -87,6 +87,11 @@ class Cloud:
     precision_cholesky: Array
     limit: float
 
+    def near(self, features: Array) -> Array:
+        """`[N]` from 1 where features `[N, F]` are inside, to 0 where their squared distance is twice the limit or more."""
+        squared = (((features - self.mean) @ self.precision_cholesky) ** 2).sum(1)
+        return np.asarray(np.clip(2 - squared / self.limit, 0.0, 1.0))
+
     def document(self) -> dict[str, object]:
         """As the specification writes it."""
         cholesky = _rounded(self.precision_cholesky)
