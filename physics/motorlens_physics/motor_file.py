@@ -105,10 +105,10 @@ def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ())
         OSError: the file cannot be read.
     """
     where, path = str(path), motor_path(path)
-    text = path.read_text(encoding="utf-8")
     try:
+        text = path.read_text(encoding="utf-8")
         document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # no text, or no TOML
         raise ModelError(f"{where}: not a motor file: {error}") from None
     _known(document, _TOP, where, "")
     if document.get("schema") != SCHEMA:

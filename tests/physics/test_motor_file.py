@@ -149,6 +149,12 @@ MISTAKES = {
 }
 
 
+def test_a_file_that_is_no_text_is_no_motor_file(tmp_path):
+    (tmp_path / "motor.toml").write_bytes(b"\x89PNG\r\n\x1a\n")
+    with pytest.raises(ModelError, match=r"motor\.toml: not a motor file"):
+        read_motor_file(tmp_path / "motor.toml")
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_mistakes_are_refused_with_file_place_and_remedy(mistake, tmp_path):
     text, said = MISTAKES[mistake]

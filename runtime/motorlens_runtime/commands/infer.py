@@ -7,6 +7,7 @@ example: motorlens infer recording.csv --sensor mellah2016 -o estimates.csv
 """
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
@@ -41,12 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from motorlens_runtime.errors import DataError
     from motorlens_runtime.files.infer import infer
 
     if arguments.output == "-" and arguments.json == "-":
-        from motorlens_runtime.errors import DataError
-
         raise DataError("-o and --json cannot both be standard output")
+    if arguments.ambient is not None and not math.isfinite(arguments.ambient):
+        raise DataError(f"--ambient {arguments.ambient:g}: no temperature")
     target = Path(arguments.output)
     # The file appears under its name only when it is complete.
     part = target.with_name(f".{target.name}.{os.getpid()}.part") if arguments.output != "-" else None
