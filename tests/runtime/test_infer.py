@@ -3,6 +3,7 @@
 import csv
 import gzip
 import json
+import os
 import re
 import subprocess
 import sys
@@ -216,6 +217,30 @@ def test_wrong_arguments_are_one_clear_line(here, capsys, arguments, message):
     assert main(command) == 1
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and re.search(message, lines[0]), lines
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("rows", [300, 60_000])
+def test_a_full_disk_is_one_clear_line(here, capsys, rows):
+    """A file this short is written as it is read, a longer one in a thread."""
+    write(here / "rec.csv", rows_of(rows))
+    os.symlink("/dev/full", "out.csv")
+    assert infer("rec.csv") == 1
+    error = [line for line in capsys.readouterr().err.splitlines() if " %, " not in line]
+    assert len(error) == 1 and "out.csv" in error[0] and "No space left" in error[0]
+    assert os.path.islink("out.csv") and sorted(os.listdir()) == ["out.csv", "rec.csv", "s.onnx"]
+
+
+def test_a_pipe_is_written_to_and_stays_one(here):
+    write(here / "rec.csv", rows_of())
+    assert infer("rec.csv") == 0
+    expected = (here / "out.csv").read_bytes()
+    (here / "out.csv").unlink()
+    os.mkfifo("out.csv")
+    reader = subprocess.Popen(["cat", "out.csv"], stdout=subprocess.PIPE)
+    assert infer("rec.csv") == 0
+    assert reader.communicate(timeout=60)[0] == expected
+    assert (here / "out.csv").is_fifo()
 
 
 def test_damaged_gzip(here, capsys):

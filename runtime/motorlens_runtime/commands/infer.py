@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 from motorlens_runtime.cli import add_json_argument, write_json
+from motorlens_runtime.errors import DataError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,23 +43,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from motorlens_runtime.errors import DataError
     from motorlens_runtime.files.infer import infer
 
     if arguments.output == "-" and arguments.json == "-":
         raise DataError("-o and --json cannot both be standard output")
     if arguments.ambient is not None and not math.isfinite(arguments.ambient):
         raise DataError(f"--ambient {arguments.ambient:g}: no temperature")
-    target = Path(arguments.output)
-    # The file appears under its name only when it is complete.
-    part = target.with_name(f".{target.name}.{os.getpid()}.part") if arguments.output != "-" else None
+    target = None if arguments.output == "-" else Path(arguments.output)
+    # A file appears under its name only when it is complete; a pipe or a device is written to as it is.
+    part = None
+    if target is not None and (target.is_file() or not target.exists()):
+        target = target.resolve()
+        part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         summary = infer(
-            arguments.recording, arguments.sensor, part, arguments.column, arguments.ambient, arguments.backend,
-            parquet=target.suffix == ".parquet",
+            arguments.recording, arguments.sensor, part or target, arguments.column, arguments.ambient, arguments.backend,
+            parquet=arguments.output.endswith(".parquet"),
         )  # fmt: skip
-        if part is not None:
+        if part is not None and target is not None:
             part.replace(target)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise DataError(f"{arguments.output}: cannot be written: {error.strerror or error}") from None
     finally:
         if part is not None:
             part.unlink(missing_ok=True)

@@ -1,5 +1,6 @@
 """Estimates of a recorded file: the estimator of the live runtime, fed from a file instead of a drive."""
 
+import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -118,7 +119,12 @@ def _publisher(sensor: Sensor, output: Path | None, parquet: bool) -> Publisher:
             return ParquetPublisher(str(output), header)
         return CsvPublisher(output.open("w", encoding="ascii", newline=""), header)
     except OSError as error:
-        raise DataError(f"{output.parent}: cannot write there: {error.strerror}") from None
+        where = output if output.is_dir() else output.parent
+        raise DataError(f"{where}: cannot write there: {_reason(error)}") from None
+
+
+def _reason(error: OSError) -> str:
+    return os.strerror(error.errno) if error.errno else str(error)
 
 
 def header_of(sensor: Sensor, device: str = "") -> Header:

@@ -41,7 +41,7 @@ class ParquetStream:
         self._moments: Any = None
         self._first_ns: int | None = None
         try:
-            self._file = pq.ParquetFile(path)
+            self._file = pq.ParquetFile(path, buffer_size=1 << 18)
         except self._refused as error:
             raise DataError(f"{path}: not a whole Parquet file: {_first_line(error)}") from None
         try:
