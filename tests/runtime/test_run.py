@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually, ran
@@ -291,7 +292,8 @@ def test_frames_over_tcp_and_udp_and_a_pipe(engine, here):
     probe.close()
 
     def send():
-        time.sleep(0.5)
+        # What is sent to a port that nobody listens at is lost.
+        eventually(lambda: f"0100007F:{port:04X}" in Path("/proc/net/udp").read_text(), "the listener")
         sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         for frame in wire:
             sender.sendto(frame, ("127.0.0.1", port))
