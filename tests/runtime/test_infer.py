@@ -10,6 +10,7 @@ import sys
 
 import numpy as np
 import pytest
+from helpers.processes import Program
 from helpers.recordings import needs_recordings, regbot
 from helpers.sensor_files import features_by_loop, write_sensor
 
@@ -237,9 +238,9 @@ def test_a_pipe_is_written_to_and_stays_one(here):
     expected = (here / "out.csv").read_bytes()
     (here / "out.csv").unlink()
     os.mkfifo("out.csv")
-    reader = subprocess.Popen(["cat", "out.csv"], stdout=subprocess.PIPE)
-    assert infer("rec.csv") == 0
-    assert reader.communicate(timeout=60)[0] == expected
+    with Program(["cat", "out.csv"]) as reader:
+        assert infer("rec.csv") == 0
+        assert reader.ended() == 0 and reader.out.encode() == expected
     assert (here / "out.csv").is_fifo()
 
 
