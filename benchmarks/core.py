@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from hil import damages
+from hil_faults import damages
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.scenario import chosen_scenario, measure, perform

@@ -1,8 +1,9 @@
 """Hardware in the loop, with the hardware on a pseudo-terminal: counts and bits are gates, latencies are reported.
 
-    python benchmarks/hil.py [--quick] [--sensor S.onnx] [--realtime] [--only loops|faults|day]
+    python benchmarks/hil.py [--quick] [--sensor S.onnx] [--realtime] [--rate HZ] [--only loops|faults|day]
 
-1. Loopback at 1, 10 and 20 kHz, 60 s each: no sample lost, none invented, live equals replay bit for bit.
+1. Loopback at 1, 10 and 20 kHz, 60 s each, every sample evaluated (or `--rate` of them a second): no sample lost, none
+   invented, live equals replay bit for bit.
 2. Faults in 10^7 frames: nothing wrong accepted, every undamaged frame received, bounded memory.
 3. 24 h at 1 kHz in simulated time: memory flat, state at its closed form.
 
@@ -26,14 +27,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from hil_faults import injected
 
-from motorlens_firmware_sim import faults
 from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.line.feed import open_feed
-from motorlens_runtime.line.framing import MAX_BODY, Channel, Decoder, Hello, hello_frames, samples_frame
+from motorlens_runtime.line.framing import Channel, Hello, hello_frames, samples_frame
 from motorlens_runtime.line.sources import open_source, split
 from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_runtime.service.outlet import Grid, OutletReport
@@ -54,6 +55,9 @@ def main() -> int:
     parser.add_argument(
         "--realtime", action="store_true", help="the loops with the profile of run --realtime"
     )
+    parser.add_argument(
+        "--rate", type=float, default=0.0, help="evaluations a second; 0 (default) is every sample"
+    )
     parser.add_argument("--only", choices=("loops", "faults", "day"), help="one part of it")
     parser.add_argument("--device", nargs=4, type=str, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -67,7 +71,8 @@ def main() -> int:
     gates = []
     if arguments.only in (None, "loops"):
         for rate, n in LOOPS:
-            gates += loop(arguments.sensor, rate, n, 5.0 if arguments.quick else 60.0, arguments.realtime)
+            seconds = 5.0 if arguments.quick else 60.0
+            gates += loop(arguments.sensor, rate, n, seconds, arguments.realtime, arguments.rate)
     if arguments.only in (None, "faults"):
         gates += injected(10**5 if arguments.quick else 10**7)
     if arguments.only in (None, "day"):
@@ -199,14 +204,16 @@ def bare_line(rate: int, n: int, profile: bool) -> str:
     return f"reading alone {p50:.0f} us median, {p99:.0f} us 99 %, {100 * cpu:.1f} % of a core"
 
 
-def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> list[tuple[str, bool]]:
+def loop(
+    sensor_path: str, rate: int, n: int, seconds: float, profile: bool, evaluated_Hz: float
+) -> list[tuple[str, bool]]:
     """One loopback; prints its figures and returns its gates."""
     sensor = load_sensor(sensor_path)
     alone = bare_line(rate, n, profile)
     with device_of(rate, n, seconds, profile) as (port, end):
         probe = Probe()
         feed = open_feed(f"pty://{port}?dialect=frames", {}, None, 0.0, time.monotonic_ns)
-        service = Service(feed, sensor, [probe], None, Settings(1000.0), time.monotonic_ns)  # type: ignore[list-item]
+        service = Service(feed, sensor, [probe], None, Settings(evaluated_Hz), time.monotonic_ns)  # type: ignore[list-item]
         gc.collect()
         gc.freeze()
         said = "ordinary priority"
@@ -215,8 +222,10 @@ def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> 
                 answer = stack.enter_context(realtime())
                 said = ", ".join((*answer.granted, *answer.refused))
             cpu, started = time.process_time(), time.monotonic()
-            deadline, last = started + seconds + 20, (int(seconds * rate) - 1) * 10**9 // rate
-            service.run(lambda: (bool(probe.parts) and done(probe, last)) or time.monotonic() > deadline)
+            deadline, grid = started + seconds + 20, Grid(evaluated_Hz)
+            sampled_ns = np.arange(int(seconds * rate)) * 10**9 // rate
+            last_ns = int(sampled_ns[grid.rows(sampled_ns)][-1])
+            service.run(lambda: done(probe, last_ns) or time.monotonic() > deadline)
             cpu = (time.process_time() - cpu) / (time.monotonic() - started)
         report = service.report()
         feed.close()
@@ -226,9 +235,11 @@ def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> 
     latency = (out - sent[got.time_ns * rate // (10**9 * n)]) / 1000
     p50, p99, p999 = np.percentile(latency, [50, 99, 99.9])
     count = int(seconds * rate)
-    same = equal_to_replay(sensor, rate, count, got)
+    same = equal_to_replay(sensor, rate, count, got, evaluated_Hz)
+    often = f"{evaluated_Hz:g} evaluations a second" if evaluated_Hz else "every sample evaluated"
     print(
-        f"{rate / 1000:g} kHz x {n} a frame, {seconds:g} s, {said}: {report['samples']} samples, {report['lost']} lost, "
+        f"{rate / 1000:g} kHz x {n} a frame, {often}, "
+        f"{seconds:g} s, {said}: {report['samples']} samples, {report['lost']} lost, "
         f"frame to estimate {p50:.0f} us median, {p99:.0f} us 99 %, {p999:.0f} us 99.9 %, {latency.max():.0f} us worst; "
         f"{100 * cpu:.1f} % of a core; {alone}; load of the machine {os.getloadavg()[0]:.1f}",
         flush=True,
@@ -242,17 +253,17 @@ def loop(sensor_path: str, rate: int, n: int, seconds: float, profile: bool) -> 
 
 
 def done(probe: Probe, last_ns: int) -> bool:
-    """Whether the estimate of the last publishing instant has come."""
-    return int(probe.parts[-1][1].time_ns[-1]) >= last_ns // 1_000_000 * 1_000_000
+    """Whether the last estimate has come."""
+    return bool(probe.parts) and int(probe.parts[-1][1].time_ns[-1]) >= last_ns
 
 
-def equal_to_replay(sensor, rate: int, count: int, got: Estimates) -> bool:
+def equal_to_replay(sensor, rate: int, count: int, got: Estimates, evaluated_Hz: float) -> bool:
     """Whether the estimates are bit for bit those of one call over all samples that the device sent."""
     codes = codes_of(count).astype(np.float64)
     values = [scale * codes[:, column] + 0.0 for column, (_, scale) in enumerate(SCALES.values())]
     time_ns = np.arange(count) * 10**9 // rate
     samples = Samples(time_ns, *values, flags=np.full(count, Quality.SIMULATED, dtype=np.uint32))
-    rows = Grid(1000.0).rows(time_ns)
+    rows = Grid(evaluated_Hz).rows(time_ns)
     expected = open_estimator(sensor, 1 / rate).push(samples, rows)
     # Whether the PC kept up is not in the samples.
     got = replace(got, quality=got.quality & ~np.uint32(Quality.OVERLOAD))
@@ -263,106 +274,6 @@ def joined(parts: list[Estimates]) -> Estimates:
     return Estimates(
         *(np.concatenate([getattr(part, f) for part in parts]) for f in Estimates.__dataclass_fields__)
     )
-
-
-def damages(rng: np.random.Generator, chunk: int) -> dict[str, Callable[[bytes], bytes]]:
-    """What is done to the bytes of `chunk` frames, by name."""
-    return {
-        "bit errors 1e-5": lambda d: faults.flip_bits(d, 1e-5, rng),
-        "bit errors 1e-4": lambda d: faults.flip_bits(d, 1e-4, rng),
-        "bit errors 1e-3": lambda d: faults.flip_bits(d, 1e-3, rng),
-        "bytes dropped": lambda d: faults.drop_bytes(d, 1e-3, rng),
-        "bytes inserted": lambda d: faults.insert_bytes(d, 1e-3, rng),
-        "bytes doubled": lambda d: faults.repeat_bytes(d, 1e-3, rng),
-        "bytes swapped": lambda d: faults.swap_bytes(d, 1e-3, rng),
-        "bursts": lambda d: faults.burst(d, 300, chunk // 100, rng),
-        "line stuck": lambda d: stuck(d, rng),
-        "frames cut, doubled, exchanged": lambda d: shuffled(d, rng),
-    }
-
-
-def injected(total: int) -> list[tuple[str, bool]]:
-    """All kinds of damage to `total` frames; everything accepted is compared with what was sent."""
-    rng = np.random.default_rng(1)
-    chunk = min(total // 10, 50_000)
-    kinds = damages(rng, chunk)
-    gates, accepted_all, bad_all, started = [], 0, 0, time.process_time()
-    longest = 0
-    for name, damage in kinds.items():
-        wrong = missing = accepted = bad = frames = 0
-        for first in range(0, total // len(kinds), chunk):
-            codes = rng.integers(-2048, 2048, (chunk, 5, 2)).astype(np.int16)
-            wire = [
-                samples_frame(rows, schema=1, sequence=(first + k) & 0xFFFF, t0_us=first + k)
-                for k, rows in enumerate(codes)
-            ]
-            clean = b"".join(wire)
-            noisy = damage(clean)
-            decoder, runs = Decoder(), []
-            for at in range(0, len(noisy), 1 << 16):
-                runs += decoder.feed(noisy[at : at + (1 << 16)])
-                longest = max(longest, len(decoder._rest))
-            index = np.concatenate([run.t0_us.astype(np.int64) - first for run in runs])
-            for run in runs:
-                k = run.t0_us.astype(np.int64) - first
-                inside = (k >= 0) & (k < chunk)
-                content = np.ascontiguousarray(run.payload[:, 2:]).view("<i2").reshape(len(run), -1)
-                right = inside & (run.kind == 2) & (content.shape[1] == 10)
-                right &= (
-                    (content == codes.reshape(chunk, -1)[np.clip(k, 0, chunk - 1)]).all(axis=1)
-                    if content.shape[1] == 10
-                    else False
-                )
-                wrong += int((~right).sum())
-            if len(noisy) == len(clean) and not name.startswith("frames"):
-                missing += len(np.setdiff1d(untouched(clean, noisy, wire), index))
-            accepted, bad, frames = accepted + len(index), bad + decoder.bad_frames, frames + chunk
-        print(
-            f"{name}: {frames} frames, {accepted} accepted, {bad} damaged pieces, {wrong} wrong, {missing} good ones missed"
-        )
-        gates += [
-            (f"{name}: nothing wrong accepted", wrong == 0),
-            (f"{name}: back at the next delimiter", missing == 0),
-        ]
-        accepted_all, bad_all = accepted_all + accepted, bad_all + bad
-    print(
-        f"{accepted_all} frames accepted, {bad_all} damaged, {time.process_time() - started:.0f} s of processor time"
-    )
-    return [*gates, ("bounded memory", longest <= MAX_BODY), ("there were faults", bad_all > total // 100)]
-
-
-def untouched(clean: bytes, noisy: bytes, wire: list[bytes]) -> np.ndarray:
-    """Frames of which no byte, nor the zero before them, was changed."""
-    changed = np.frombuffer(clean, dtype=np.uint8) != np.frombuffer(noisy, dtype=np.uint8)
-    total = np.concatenate(([0], np.cumsum(changed)))
-    ends = np.cumsum([len(frame) for frame in wire])
-    starts = np.concatenate(([0], ends[:-1] - 1))
-    return np.flatnonzero(total[ends] == total[starts])
-
-
-def stuck(data: bytes, rng: np.random.Generator) -> bytes:
-    """Stretches of a line that is held low or high."""
-    stream = np.frombuffer(data, dtype=np.uint8).copy()
-    for start in rng.integers(0, len(stream) - 5000, 50):
-        stream[start : start + rng.integers(1, 5000)] = rng.choice([0x00, 0xFF, 0x55])
-    return stream.tobytes()
-
-
-def shuffled(data: bytes, rng: np.random.Generator) -> bytes:
-    """Frames cut short, sent twice, or exchanged with the next."""
-    frames = data.split(b"\0")[:-1]
-    out = []
-    for k, frame in enumerate(frames):
-        chance = rng.random()
-        if chance < 0.01:
-            out.append(frame[: rng.integers(1, len(frame))])
-        elif chance < 0.02:
-            out += [frame, frame]
-        elif chance < 0.03 and k:
-            out.insert(-1, frame)
-        else:
-            out.append(frame)
-    return b"\0".join(out) + b"\0"
 
 
 def simulated_day(sensor_path: str, hours: int) -> list[tuple[str, bool]]:
