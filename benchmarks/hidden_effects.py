@@ -24,7 +24,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,8 @@ from helpers.hidden import Case, Generated, draw, generate, generate_again, gene
 from helpers.hidden.experiments import TESTS  # noqa: E402
 from helpers.hidden.score import Rate, Row, failing, strata, strong, summary  # noqa: E402
 from helpers.hidden.world import CHANNEL_SETS, HEADINGS  # noqa: E402
+
+from motorlens_physics.queue import queue  # noqa: E402
 
 # Of the sensors' offsets, as motor files have them.
 UNITS = {"voltage": "V", "current": "A", "speed": "rad/s", "temperature": "K", "load_torque": "N*m"}
@@ -143,7 +144,7 @@ def run_baselines(arguments: argparse.Namespace) -> None:
     done = {row["id"] for row in read_lines(file_name)}
     cases = [case for case in chosen(arguments) if case.id not in done]
     with file_name.open("a", encoding="utf-8") as file:
-        for number, row in enumerate(in_parallel(instead, cases, arguments.jobs, str(directory)), 1):
+        for number, row in enumerate(in_parallel(instead, cases, arguments, str(directory)), 1):
             file.write(json.dumps(row) + "\n")
             file.flush()
             print(f"{number}/{len(cases)} {row['id']}", file=sys.stderr)
@@ -161,7 +162,7 @@ def run(arguments: argparse.Namespace) -> None:
     begun = time.monotonic()
     with answers.open("a", encoding="utf-8") as file:
         for number, row in enumerate(
-            in_parallel(one, cases, arguments.jobs, str(directory), arguments.keep, arguments.limit), 1
+            in_parallel(one, cases, arguments, str(directory), arguments.keep, arguments.limit), 1
         ):
             file.write(json.dumps(row) + "\n")
             file.flush()
@@ -174,14 +175,22 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def in_parallel(
-    work: Callable[..., dict[str, Any]], cases: list[Case], jobs: int, *rest: Any
+    work: Callable[..., dict[str, Any]], cases: list[Case], arguments: argparse.Namespace, *rest: Any
 ) -> Iterator[dict[str, Any]]:
-    """Results of work(case, *rest), as many at a time as `jobs`."""
-    if jobs == 1:
-        yield from (work(case, *rest) for case in cases)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(work, cases, *([value] * len(cases) for value in rest))
+    """Results of work(case, *rest) as they come, on `--jobs` processes or `--scheduler`."""
+    # What workers import by name.
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent / "tests"), str(HERE / "hidden_effects")])
+    here = arguments.jobs == 1 and arguments.scheduler is None
+    with queue(arguments.scheduler, 0 if here else arguments.jobs) as run_on:
+        for done in run_on(work, cases, *rest):
+            lost = {
+                "id": cases[done.number].id,
+                "status": -1,
+                "stderr": done.failure,
+                "answer": None,
+                "seconds": 0.0,
+            }
+            yield lost | {"answers": {}} if done.value is None else done.value
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
@@ -437,8 +446,8 @@ def bench(quick: bool) -> None:
                 json.dumps(truth), encoding="utf-8"
             )
         arguments = argparse.Namespace(
-            split="subset", n=60, small=True, only=None, every=5 if quick else 1, output=out, jobs=2, limit=300.0,
-            keep=False, open_test=False, directory=out, strata=not quick, failures=None,
+            split="subset", n=60, small=True, only=None, every=5 if quick else 1, output=out, jobs=2, scheduler=None,
+            limit=300.0, keep=False, open_test=False, directory=out, strata=not quick, failures=None,
         )  # fmt: skip
         run(arguments)
         if importlib.util.find_spec("pysindy"):
@@ -463,7 +472,8 @@ def main() -> None:
         action.add_argument("--every", type=int, default=1, help="every k-th case only")
         action.add_argument("-o", "--output", required=True)
         if name != "generate":
-            action.add_argument("--jobs", type=int, default=1)
+            action.add_argument("--jobs", type=int, default=1, help="processes on this machine")
+            action.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a Dask cluster that is there")
             action.add_argument("--limit", type=float, default=300.0, help="seconds a diagnosis may take")
             action.add_argument("--keep", action="store_true", help="keep the recordings")
             action.add_argument("--open-test", action="store_true")

@@ -3,7 +3,7 @@
     python benchmarks/sensor.py                 all rows
     python benchmarks/sensor.py unseen wheels   some of them
     python benchmarks/sensor.py --quick         all rows, trained on little
-    python benchmarks/sensor.py worlds --count 400 --seed 1 [--cell noise=2-4] [SENSOR.onnx ...]
+    python benchmarks/sensor.py worlds --count 400 --seed 1 [--cell noise=2-4] [--workers 2] [SENSOR.onnx ...]
                                                 sensor files (the shipped ones) in worlds they were not made in
     python benchmarks/sensor.py changes [--drives 12] [--day] [SENSOR.onnx ...]
                                                 noise that jumps, a voltage scale that is off, a drop that the motor
@@ -17,6 +17,7 @@ error, as the paper is.
 """
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -29,6 +30,8 @@ from sensor_rows.motor import ambient, hot_restart, paper, unseen
 from sensor_rows.others import brush, magnet, node, tolerance
 from sensor_rows.wheels import fra233, wheels
 from sensor_rows.worlds import worlds
+
+from motorlens_physics.queue import add_queue_arguments, queue
 
 OBSERVER = ROOT / "models" / "sensors" / "mellah2016_observer.onnx"
 ROWS: dict[str, Callable[[Size, bool], None]] = {
@@ -46,9 +49,16 @@ def _worlds(arguments: list[str]) -> int:
     parser.add_argument(
         "--cell", action="append", default=[], metavar="FACTOR=CELL", help="chosen, not drawn"
     )
+    add_queue_arguments(parser)
+    parser.set_defaults(workers=0)
     chosen = parser.parse_args(arguments)
     shipped = [OBSERVER, OBSERVER.with_name("mellah2016.onnx")]
-    wrong = [worlds(path, chosen.count, chosen.seed, chosen.cell) for path in chosen.sensors or shipped]
+    # What workers import by name.
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT / "tests"), str(ROOT / "benchmarks")])
+    with queue(chosen.scheduler, chosen.workers, chosen.memory) as work:
+        wrong = [
+            worlds(path, chosen.count, chosen.seed, chosen.cell, work) for path in chosen.sensors or shipped
+        ]
     return int(any(wrong))
 
 

@@ -26,7 +26,7 @@ from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.method import UNITS
 from motorlens_train.duty_cycles import duty_cycle
 from motorlens_train.evaluation.scores import Evaluation, evaluate
-from motorlens_train.material import relative, tolerant
+from motorlens_train.material import evenly, relative, tolerant
 from motorlens_train.observer.design import with_observer
 
 CASES = {
@@ -45,7 +45,7 @@ def tolerance(size: Size, quick: bool) -> None:
     def another(seed: int, k: int) -> MotorFile:
         return relative(MELLAH, 0.1, np.random.default_rng([seed, k]))
 
-    bank = with_observer(filters(MELLAH), MELLAH, tolerant(WATCHING, 0.1))
+    bank = with_observer(filters(MELLAH), MELLAH, tolerant(WATCHING, evenly(0.1)))
     cycles = [
         duty_cycle(another(61, k), WHITE, 200.0, 600.0, np.random.default_rng([62, k]), k % 2 == 1)
         for k in range(size.training)

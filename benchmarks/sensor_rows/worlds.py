@@ -1,11 +1,13 @@
 """Sensor files in worlds they were not made in: the runtime itself, on a plant that shares no code with the packages."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from sensor_rows.common import MELLAH
 
+from motorlens_physics.queue import Work
 from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.progress import Progress
@@ -40,29 +42,39 @@ def judged(sensor: Sensor, world: World, recorded: Recorded) -> Verdict:
     return verdict(world, recorded, rows, np.concatenate(values), np.concatenate(sds), word == 0)
 
 
-def worlds(path: Path, count: int, seed: int, cells: Sequence[str] = ()) -> int:
+def judged_alone(number: int, path: str, seed: int, chosen: Mapping[str, str]) -> Verdict:
+    """One world of a seed, by its number: a task of the queue."""
+    world = at(drawn(seed, number), **chosen)
+    return judged(_sensor(path), world, record(world, DRIVE))
+
+
+@cache
+def _sensor(path: str) -> Sensor:
+    return load_sensor(path)
+
+
+def worlds(path: Path, count: int, seed: int, cells: Sequence[str], work: Work) -> int:
     """Judge a sensor file in `count` worlds drawn from a seed, some `FACTOR=CELL` chosen; the number it is confidently
     wrong in.
 
     Prints the table by factor, and one line for every world in which it is confidently wrong.
     """
-    sensor = load_sensor(str(path))
     chosen = dict(cell.split("=", 1) for cell in cells)
-    found, lines = [], []
+    found: dict[int, Verdict] = {}
+    failed = []
     with Progress(count, f"{path.stem} in worlds") as progress:
-        for number in range(count):
-            world = at(drawn(seed, number), **chosen)
-            one = judged(sensor, world, record(world, DRIVE))
-            found.append(one)
-            if one.confidently_wrong:
-                lines.append(_line(number, one))
-            progress.update(number + 1)
+        for done in work(judged_alone, range(count), str(path.resolve()), seed, chosen):
+            if done.value is None:
+                failed.append(f"  world {done.number}: {done.failure}")
+            else:
+                found[done.number] = done.value
+            progress.update(len(found) + len(failed))
+    lines = [_line(number, one) for number, one in sorted(found.items()) if one.confidently_wrong]
     wrong = len(lines)
-    print(
-        f"\n## {path.name} in {count} worlds of seed {seed}: confidently wrong in {wrong}\n{text(cells_of(found))}"
-    )
-    print("\n".join(lines), flush=True)
-    return wrong
+    print(f"\n## {path.name} in {count} worlds of seed {seed}: confidently wrong in {wrong}")
+    print(text(cells_of([found[number] for number in sorted(found)])))
+    print("\n".join([*lines, *failed]), flush=True)
+    return wrong + len(failed)
 
 
 def _line(number: int, one: Verdict) -> str:

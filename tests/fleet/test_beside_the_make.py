@@ -8,8 +8,8 @@ import pytest
 from helpers.plain_fleet import TYPICAL, World, write
 
 from motorlens_physics.motor_file import Knowledge, read_motor_file
+from motorlens_physics.queue import Done
 from motorlens_workbench.fleet.manifest import Entry
-from motorlens_workbench.fleet.queue import Done
 from motorlens_workbench.fleet.store import Store
 from motorlens_workbench.fleet.study import study
 from motorlens_workbench.fleet.summary import Parabola

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from motorlens_physics.queue import here
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.fleet.manifest import Entry
-from motorlens_workbench.fleet.queue import here
 from motorlens_workbench.fleet.store import Store, digest, write_atomically
 from motorlens_workbench.fleet.study import results
 

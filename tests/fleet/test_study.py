@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from motorlens_physics.motor_file import read_motor_file, to_toml
+from motorlens_physics.queue import Done
 from motorlens_workbench.fleet.manifest import Entry
-from motorlens_workbench.fleet.queue import Done
 from motorlens_workbench.fleet.store import Store
 from motorlens_workbench.fleet.study import study
 from motorlens_workbench.fleet.summary import Parabola, switch_of, with_candidates

@@ -1,6 +1,7 @@
 """Alarms against rows written by hand and against the closed form of a body that warms up."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,6 +116,14 @@ SPECIFICATION = parse_specification(
     "warm_up_s": 1, "envelope": {"voltage_V": [0, 1], "current_A": [0, 1]}}""",
     "test",
 )
+
+
+def test_events_name_the_file_that_says_more():
+    for text in ("speed>90", "speed>90,within_s=120,window_s=1"):
+        alarm = parse_alarm(f"{text},file=fleet/index.html", SPECIFICATION)
+        seen = Watch([alarm]).look(rows(np.linspace(60.0, 120.0, 100)))
+        assert [event.document()["file"] for event in seen] == ["fleet/index.html"]
+        assert "file" not in replace(seen[0], file="").document()
 
 
 def test_alarms_are_read_from_text():

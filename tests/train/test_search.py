@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motorlens_physics.queue import here, queue
 from motorlens_runtime.errors import DataError
 from motorlens_train.commands.parse import hidden_layers
 from motorlens_train.data import Cycle
@@ -44,15 +45,15 @@ def test_killed_search_goes_on_and_finds_the_network_that_is_needed(tmp_path: Pa
         if count == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        search(TASK, CANDIDATES, log, 2, killed_after_two)
+    with pytest.raises(KeyboardInterrupt), queue(workers=2) as work:
+        search(TASK, CANDIDATES, log, work, killed_after_two)
     with log.open("a", encoding="utf-8") as file:
         file.write('{"candidate": {"hid')  # torn by the kill
     held = read_log(log)
     assert [r.candidate for r in held] == [r.candidate for r in seen] and len(held) == 2
     counts: list[int] = []
-    # One worker goes on as two do, and starts in half the time.
-    results = search(TASK, CANDIDATES, log, 1, lambda result, count: counts.append(count))
+    # This process goes on where two others were.
+    results = search(TASK, CANDIDATES, log, here, lambda result, count: counts.append(count))
     assert counts == [1, 2, 3, 4] and {r.candidate for r in results} == set(CANDIDATES)
     assert {r.candidate for r in read_log(log)} == set(CANDIDATES), (
         "the torn line must not swallow the next one"
@@ -69,7 +70,9 @@ def test_killed_search_goes_on_and_finds_the_network_that_is_needed(tmp_path: Pa
 @pytest.mark.fit
 def test_without_unseen_cycles_each_is_left_out_in_turn(tmp_path: Path) -> None:
     task = Task(TASK.training, (), TASK.settings)
-    (result,) = search(task, [Candidate((), "tanh", True, 1)], tmp_path / "log.jsonl", 1, lambda r, c: None)
+    (result,) = search(
+        task, [Candidate((), "tanh", True, 1)], tmp_path / "log.jsonl", here, lambda r, c: None
+    )
     by_hand = []
     for train_on, test_on in ((0, 1), (1, 0)):
         a, b = TASK.training[train_on], TASK.training[test_on]

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from motorlens_physics.motor_file import MotorFile, read_motor_file
+from motorlens_physics.make import of_make
+from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.scenario import parse_noise, time_constants
 from motorlens_runtime.errors import DataError
@@ -58,11 +59,13 @@ def from_motor(
     done: Callable[[int], None] = lambda count: None,
     observed: MotorFile | None = None,
     tolerance: float = 0.0,
+    make: MotorFile | None = None,
 ) -> Material:
     """Simulated duty cycles of a motor: three fifths to train on, one fifth each to calibrate and to test.
 
     With `observed`, a physics observer of that motor runs inside the sensor. With a `tolerance` every cycle is of another
-    motor, whose parameters differ by up to that share from those of the file; see `relative`.
+    motor, whose parameters differ by up to that share from those of the file, see `relative`; with a `make`, as motors of it
+    do, see `of_the_make`.
 
     Raises:
         DataError, ModelError: the motor file or an argument is at fault.
@@ -72,17 +75,21 @@ def from_motor(
     if cycles < 10:
         raise DataError(f"--cycles {cycles}: at least 10, so that there are some of each kind")
     file = read_motor_file(path)
+    if make is not None:
+        file = of_make(file, make)
+        observed = observed and of_make(observed, make)
+    spread = spread_of(file) if make is not None else evenly(tolerance)
     deviations = noise_of(file, noise)
     bank, starts = bank_of(file), "starts from ambient temperature"
     if observed is not None:
         settings = ObserverSettings(voltage_sd=deviations.voltage_V, current_sd=deviations.current_A)
-        bank = with_observer(bank, observed, tolerant(settings, tolerance))
-        bank = bank if tolerance else alone(bank)
+        bank = with_observer(bank, observed, tolerant(settings, spread))
+        bank = bank if spread else alone(bank)
         starts = "every second one started warm or switched on late"
     fifth = cycles // 5
     made: dict[int, Cycle] = {}
     # An observer that stands alone learns nothing: only those to test it on are wanted.
-    learns = observed is None or tolerance > 0
+    learns = observed is None or bool(spread)
     numbers = range(cycles + fifth) if learns else (*range(fifth, 2 * fifth), *range(cycles, cycles + fifth))
     for number in numbers:
         # An observer reads the temperature off the inrush, so what it stands in may have any history.
@@ -90,7 +97,8 @@ def from_motor(
         rate = rate_Hz / (1.0, 2.0, 5.0)[number % 3]
         # Nor can it know anything before the first inrush: its errors are counted from a second after that.
         settled = observed is not None and (number >= cycles or fifth <= number < 2 * fifth)
-        one = relative(file, tolerance, np.random.default_rng([seed, number, 1]))
+        other = np.random.default_rng([seed, number, 1])
+        one = relative(file, tolerance, other) if make is None else of_the_make(file, spread, other)
         noise_here = deviations.of_any_size(np.random.default_rng([seed, number, 2]))
         made[number] = simulated(one, bank, noise_here, rate, [seed, number], unknown, settled)
         done(len(made))
@@ -116,6 +124,7 @@ def from_motor(
             if tolerance
             else ""
         )
+        + ("; every cycle another motor of the make" if make is not None and spread else "")
         + ("; errors count from one second after the first voltage step" if observed is not None else "")
     )
     parts = range(2 * fifth, cycles), range(fifth), range(fifth, 2 * fifth), range(cycles, cycles + fifth)
@@ -134,14 +143,33 @@ def relative(file: MotorFile, tolerance: float, rng: np.random.Generator) -> Mot
     return file.with_values({key: values[key] * rng.uniform(1 - tolerance, 1 + tolerance) for key in VARYING})
 
 
-def tolerant(settings: ObserverSettings, tolerance: float) -> ObserverSettings:
-    """An observer that takes ke, R_a0 and J for states, as unsure as the tolerance; the thermal ones make a walk."""
-    if not tolerance:
-        return settings
-    sd = tolerance / np.sqrt(3)
-    return replace(
-        settings, thermal_walk=0.1 * tolerance, tolerances=tuple((key, float(sd)) for key in VARYING[:3])
+def of_the_make(file: MotorFile, spread: Mapping[str, float], rng: np.random.Generator) -> MotorFile:
+    """A motor of a make, its parameters lognormal about the file's, with relative standard deviations by key."""
+    values = file.values()
+    return file.with_values(
+        {key: values[key] * np.exp(sd * rng.standard_normal()) for key, sd in spread.items()}
     )
+
+
+def spread_of(file: MotorFile) -> dict[str, float]:
+    """Relative standard deviations of `VARYING` parameters, as far as the file states any above 0."""
+    values = file.values()
+    sds = {key: file.knowledge.get(key, Knowledge()).sd for key in VARYING}
+    return {key: sd / abs(values[key]) for key, sd in sds.items() if sd and values[key]}
+
+
+def evenly(tolerance: float) -> dict[str, float]:
+    """The same of parameters that are evenly spread up to a tolerance."""
+    return {key: float(tolerance / np.sqrt(3)) for key in VARYING} if tolerance else {}
+
+
+def tolerant(settings: ObserverSettings, spread: Mapping[str, float]) -> ObserverSettings:
+    """An observer that takes ke, R_a0 and J for states, as unsure as motors differ; the thermal ones make a walk."""
+    if not spread:
+        return settings
+    thermal = np.sqrt(np.mean([spread.get(key, 0.0) ** 2 for key in VARYING[3:]]))
+    states = tuple((key, spread[key]) for key in VARYING[:3] if key in spread)
+    return replace(settings, thermal_walk=float(0.1 * np.sqrt(3) * thermal), tolerances=states)
 
 
 def paper_of(path: Path, recipe: Recipe, noise: Sequence[str]) -> PaperRun:

@@ -8,9 +8,7 @@ where it stood.
 """
 
 import json
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from motorlens_physics.queue import Work
+from motorlens_runtime.errors import ModelError
 from motorlens_train.cascade import Architecture
 from motorlens_train.data import Cycle, arrays
 from motorlens_train.specification import Array
@@ -70,7 +70,7 @@ class Task:
     settings: Settings
 
 
-def evaluate(task: Task, candidate: Candidate) -> Result:
+def evaluate(candidate: Candidate, task: Task) -> Result:
     """Train one candidate and test it."""
     torch.set_num_threads(1)
     first = task.training[0]
@@ -115,7 +115,7 @@ def comparable(task: Task, candidates: Sequence[Candidate]) -> Task:
 
 
 def search(
-    task: Task, candidates: Sequence[Candidate], log: Path, workers: int, done: Callable[[Result, int], None]
+    task: Task, candidates: Sequence[Candidate], log: Path, work: Work, done: Callable[[Result, int], None]
 ) -> list[Result]:
     """Train all candidates that the log does not hold yet.
 
@@ -123,8 +123,11 @@ def search(
         task: the data.
         candidates: what to try.
         log: file of finished trainings, one JSON line each; read first, appended to.
-        workers: processes side by side.
+        work: trains them, see `queue`.
         done: told each result, and how many of all there are.
+
+    Raises:
+        ModelError: candidates that could not be trained, after all others.
     """
     finished = {result.candidate: result for result in read_log(log)}
     if log.exists() and not log.read_text(encoding="utf-8").endswith("\n"):
@@ -134,18 +137,17 @@ def search(
     waiting = [c for c in candidates if c not in finished]
     for count, result in enumerate(results, start=1):
         done(result, count)
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_share, initargs=(task,)) as pool:
-        running = [pool.submit(_evaluate_shared, candidate) for candidate in waiting]
-        try:
-            for future in as_completed(running):
-                results.append(future.result())
-                with log.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(results[-1])) + "\n")
-                done(results[-1], len(results))
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    failed = []
+    for outcome in work(evaluate, waiting, task):
+        if outcome.value is None:
+            failed.append(f"{waiting[outcome.number].label}: {outcome.failure}")
+            continue
+        results.append(outcome.value)
+        with log.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(asdict(outcome.value)) + "\n")
+        done(outcome.value, len(results))
+    if failed:
+        raise ModelError("; ".join(failed))
     return results
 
 
@@ -231,16 +233,3 @@ def draw(results: Sequence[Result], path: Path) -> None:
 def restarts(candidates: Sequence[Candidate], count: int, seed: int) -> list[Candidate]:
     """Every structure with `count` starts."""
     return [replace(candidate, seed=seed + start) for start in range(count) for candidate in candidates]
-
-
-# What a worker process holds; set once when it starts, so that the data cross the border once and not per
-# candidate.
-_shared: list[Task] = []
-
-
-def _share(task: Task) -> None:
-    _shared[:] = [task]
-
-
-def _evaluate_shared(candidate: Candidate) -> Result:
-    return evaluate(_shared[0], candidate)

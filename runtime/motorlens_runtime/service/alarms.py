@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Event:
-    """An alarm went on or off. `value` is the estimate, or the seconds left until the limit."""
+    """An alarm went on or off. `value` is the estimate or the seconds left until the limit, `file` says more."""
 
     alarm: str
     active: bool
@@ -42,23 +42,27 @@ class Event:
     value: float
     limit: float
     message: str
+    file: str = ""
 
     def document(self) -> dict[str, Any]:
         """As publishers send it."""
         return {
             "event": "alarm", "alarm": self.alarm, "active": self.active, "timestamp": self.time_ns / 1e9,
             "value": self.value if math.isfinite(self.value) else None, "limit": self.limit, "message": self.message,
+            **({"file": self.file} if self.file else {}),
         }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Which estimate an alarm watches: column, heading, and which side is bad (1 above the limit, -1 below)."""
+    """Which estimate an alarm watches: column, heading, which side is bad (1 above the limit, -1 below), how many deviations
+    are added, and the file that its events name, such as the fleet's page with the history of the motor."""
 
     column: int
     heading: str
     side: int
     sigmas: float
+    file: str = ""
 
     def of(self, estimates: Estimates) -> tuple[NDArray[np.int64], Array]:
         """Times and values of the rows that say something, turned so that larger is worse, plus `sigmas` deviations."""
@@ -128,7 +132,7 @@ class Limit:
         side = "above" if (self.quantity.side > 0) == active else "below"
         bound = self.limit if active else self.limit - self.quantity.side * self.hysteresis
         message = f"{self.quantity.heading} is {value:.4g}, {side} {bound:.4g}"
-        return Event(self.name, active, int(time_ns[row]), value, self.limit, message)
+        return Event(self.name, active, int(time_ns[row]), value, self.limit, message, self.quantity.file)
 
 
 @dataclass(frozen=True)
@@ -209,7 +213,8 @@ class TimeToLimit:
     def _event(self, state: Course, active: bool, time_ns: int) -> Event:
         bound = f"{self.quantity.heading} {'>' if self.quantity.side > 0 else '<'} {self.limit:.4g}"
         left = "is not in sight" if math.isinf(state.left_s) else f"in {state.left_s:.0f} s"
-        return Event(self.name, active, time_ns, state.left_s, self.limit, f"{bound} {left} as things go")
+        message = f"{bound} {left} as things go"
+        return Event(self.name, active, time_ns, state.left_s, self.limit, message, self.quantity.file)
 
 
 class Watch:
@@ -245,8 +250,8 @@ class Watch:
 def parse_alarm(text: str, specification: Specification) -> Alarm:
     """Read `HEADING>NUMBER,key=value,...`; HEADING is an output's column (`temperature_rise_K`) or name (`temperature`).
 
-    Keys: `hysteresis`, `hold_s`, `sigmas` (how many standard deviations are added), `name`; with `within_s` also `window_s`
-    and `tau_s` (default: the sensor's slowest filter of a loss), and `hysteresis` is in seconds.
+    Keys: `hysteresis`, `hold_s`, `sigmas` (how many standard deviations are added), `name`, `file` (that events name); with
+    `within_s` also `window_s` and `tau_s` (default: the sensor's slowest filter of a loss), and `hysteresis` is in seconds.
 
     Raises:
         DataError: the text is not understood, or the sensor has no such output.
@@ -266,8 +271,9 @@ def parse_alarm(text: str, specification: Specification) -> Alarm:
     options = Options(values, where)
     limit = Options({"limit": match[3]}, where).number("limit", None, -1e12, 1e12)
     quantity = Quantity(
-        column, output.heading, 1 if match[2] == ">" else -1, options.number("sigmas", 0.0, 0.0, 10.0)
-    )
+        column, output.heading, 1 if match[2] == ">" else -1, options.number("sigmas", 0.0, 0.0, 10.0),
+        options.text("file", ""),
+    )  # fmt: skip
     alarm: Alarm
     if "within_s" in values:
         within_s = options.number("within_s", None, 1e-3, 1e9)

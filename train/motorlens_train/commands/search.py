@@ -4,12 +4,14 @@ example:
   motorlens search --motor mellah2016 --try 8 12-8 16-12 --restarts 2 -o search
 
 The folder holds results.jsonl (one line a training; a search that was killed goes on from it), search.json and search.png.
+--scheduler is the address of a Dask cluster; without it, processes on this machine train.
 """
 
 import argparse
 import sys
 from pathlib import Path
 
+from motorlens_physics.queue import add_queue_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
 
 
@@ -33,15 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the simulated sensor")
     parser.add_argument("--iterations", type=int, default=80, metavar="N", help="at most (default: 80)")
-    parser.add_argument(
-        "--workers", type=int, default=2, metavar="N", help="processes side by side (default: 2)"
-    )
+    add_queue_arguments(parser)
     parser.add_argument("--seed", type=int, default=1, help="of everything random (default: 1)")
     parser.add_argument("-o", "--output", required=True, metavar="DIR", help="folder of the results")
     add_json_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from motorlens_physics.queue import queue
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
     from motorlens_train.activations import activation
@@ -94,7 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
 
     task = comparable(Task(material.training, material.unseen, material.recipe.settings), candidates)
-    results = search(task, candidates, folder / "results.jsonl", arguments.workers, show)
+    with queue(arguments.scheduler, arguments.workers, arguments.memory) as work:
+        results = search(task, candidates, folder / "results.jsonl", work, show)
     found = document(results)
     write_json(found, str(folder / "search.json"))
     draw(results, folder / "search.png")

@@ -8,7 +8,7 @@ From a motor file it is the physics observer of that motor, alone: nothing is tr
 simulated duty cycles it is judged. With --tolerance 10 it is for every motor of the make, not for the one of the file: the
 observer finds R, ke and J of the motor it is put on, and a network mends what it gets wrong. With --hidden 12-8 it is a
 network on filters, without an observer: lighter on a microcontroller, and only for a motor that starts at ambient
-temperature, as its quality says.
+temperature, as its quality says. With --make in the place of --tolerance, motors differ as motorlens fleet has found.
 
 From recordings it is a network; the targets that were measured (speed, temperature, resistance) decide what it promises.
 
@@ -52,6 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--worlds", type=int, default=60, metavar="N",
                         help="an observer is judged in so many drawn worlds (default: 60)")  # fmt: skip
+    parser.add_argument(
+        "--make", metavar="POPULATION.toml",
+        help="what motorlens fleet says of motors of this make: the motor file knows less, and motors differ as it says",
+    )  # fmt: skip
     parser.add_argument("--iterations", type=int, default=120, metavar="N", help="at most (default: 120)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (default: 1)")
     parser.add_argument("--checkpoint", metavar="FILE", help="write training's state here, and go on from it")
@@ -59,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from motorlens_physics.make import of_make
     from motorlens_physics.motor_file import read_motor_file
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
@@ -77,16 +82,21 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--tolerance is for simulated motors: it needs --motor MOTOR.toml")
     if output.suffix != ".onnx":
         raise DataError(f"-o {output}: a sensor file ends in .onnx")
+    if arguments.make and not (arguments.motor or arguments.observer):
+        raise DataError("--make says more of a motor file: it needs --motor or --observer MOTOR.toml")
+    if arguments.make and arguments.tolerance:
+        raise DataError("--make says how much motors differ: leave out --tolerance")
+    make = read_motor_file(arguments.make) if arguments.make else None
     observer = arguments.observer or (arguments.motor if not arguments.hidden else None)
     observed = read_motor_file(observer) if observer else None
     hidden = hidden_layers(arguments.hidden) if arguments.hidden else None
-    stands_alone = observed is not None and not arguments.tolerance
+    stands_alone = observed is not None and not arguments.tolerance and make is None
     count = 2 * (arguments.cycles // 5) if stands_alone else 1.2 * arguments.cycles
     with Progress(count, "simulating") as progress:
         if arguments.motor:
             material = from_motor(
                 Path(arguments.motor), output.stem, arguments.cycles, arguments.rate, arguments.noise, arguments.seed,
-                hidden, arguments.iterations, progress.update, observed, arguments.tolerance / 100,
+                hidden, arguments.iterations, progress.update, observed, arguments.tolerance / 100, make,
             )  # fmt: skip
         else:
             material = from_recordings(
@@ -96,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
                 arguments.seed,
                 hidden,
                 arguments.iterations,
-                observed,
+                observed if observed is None or make is None else of_make(observed, make),
             )
     report: dict[str, Any] = {}
     if material.training:
@@ -115,6 +125,7 @@ def run(arguments: argparse.Namespace) -> int:
     card |= {"trained_on": material.origin, "cases": cases}
     if arguments.motor and observed is not None and observed.motor.L > 0 and arguments.worlds > 0:
         file = read_motor_file(arguments.motor)
+        file = file if make is None else of_make(file, make)
         with Progress(arguments.worlds, "judging in worlds") as progress:
             cells = cells_in_worlds(sensor, file, arguments.worlds, arguments.seed, progress.update)
         card["worlds"] = {"seed": arguments.seed, "cells": [cell.document() for cell in cells]}

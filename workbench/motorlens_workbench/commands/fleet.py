@@ -16,6 +16,7 @@ import sys
 from contextlib import ExitStack
 from typing import Any
 
+from motorlens_physics.queue import add_queue_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
 
 
@@ -51,36 +52,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--compare", action="store_true", help="hold the motor file as it is against every recording, too"
     )
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a Dask cluster that is there")
     parser.add_argument(
-        "--workers",
-        type=int,
-        metavar="N",
-        help="processes on this machine (default: one a core; 0: this one)",
+        "--diagnose",
+        choices=("odd", "all"),
+        help="look for what is missing from the make in the odd motors, or in each, as motorlens diagnose does",
     )
-    parser.add_argument(
-        "--memory",
-        default="auto",
-        metavar="SIZE",
-        help="most that a worker may use, as 2GB (default: its share)",
-    )
+    add_queue_arguments(parser)
     add_json_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from motorlens_workbench.fleet.queue import checked_workers, single_threaded
+    from motorlens_physics.queue import checked_workers, single_threaded
 
     workers = checked_workers(arguments.workers)
     if workers == 0 and arguments.scheduler is None:
         single_threaded()
+    from dataclasses import replace
     from pathlib import Path
 
     from motorlens_physics.command_inputs import no_values
     from motorlens_physics.motor_file import read_motor_file, to_toml, voltage_commanded
+    from motorlens_physics.queue import queue
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
+    from motorlens_workbench.fleet.diagnosis import diagnosed
     from motorlens_workbench.fleet.manifest import entries
-    from motorlens_workbench.fleet.queue import cluster, here, worked
     from motorlens_workbench.fleet.store import Store, write_atomically
     from motorlens_workbench.fleet.study import study
     from motorlens_workbench.fleet.work import Job, analysed
@@ -99,16 +95,16 @@ def run(arguments: argparse.Namespace) -> int:
     store = Store(out / "results")
     store.clear_halves()
     job = Job(Path(), file, tuple(arguments.column), no_values(arguments.no_value), arguments.compare)
-    with ExitStack() as stack:
-        clients: list[Any] = []
+    with (
+        ExitStack() as stack,
+        queue(
+            arguments.scheduler, workers, arguments.memory,
+            lambda client: print(f"motorlens fleet: dashboard {client.dashboard_link}", file=sys.stderr),
+        ) as run,
+    ):  # fmt: skip
 
         def work(jobs: Any) -> Any:
-            if workers == 0 and arguments.scheduler is None:
-                return here(analysed, jobs)
-            if not clients:
-                clients.append(stack.enter_context(cluster(arguments.scheduler, workers, arguments.memory)))
-                print(f"motorlens fleet: dashboard {clients[0].dashboard_link}", file=sys.stderr)
-            return worked(clients[0], analysed, jobs)
+            return run(analysed, jobs)
 
         def say(text: str) -> None:
             stages.append(stack.enter_context(Progress(1.0, f"fleet: {text}")))
@@ -118,6 +114,13 @@ def run(arguments: argparse.Namespace) -> int:
             found, job, store, work, grow=not arguments.as_it_is, say=say,
             progress=lambda done, of: stages[-1].update(done / of, f"({done} of {of} recordings)"),
         )  # fmt: skip
+        if arguments.diagnose:
+            every = fleet.population.motors
+            asked = every if arguments.diagnose == "all" else tuple(every[m] for m in fleet.odd)
+            say(f"diagnosing {len(asked)} motors")
+            fleet = replace(fleet, diagnoses=diagnosed(
+                fleet, asked, job, store, work, lambda done, of: stages[-1].update(done / of, f"({done} of {of} motors)"),
+            ))  # fmt: skip
     words = shlex.join(
         ["motorlens", "fleet", arguments.folder, "--motor", arguments.motor, "-o", arguments.output]
     )

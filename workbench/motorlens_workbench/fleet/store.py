@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import motorlens_physics
@@ -27,11 +28,15 @@ def digest(*parts: bytes) -> str:
 
 
 @cache
-def code_version() -> str:
-    """The version of the distribution, and a hash of the sources on which the result of a recording depends."""
+def code_version(*more: ModuleType) -> str:
+    """The version of the distribution, and a hash of the sources on which the result of a recording depends.
+
+    Args:
+        more: packages on which it depends besides.
+    """
     sources = hashlib.sha256()
     here = Path(__file__).parent
-    for package in (motorlens_physics, motorlens_runtime.files):
+    for package in (motorlens_physics, motorlens_runtime.files, *more):
         root = Path(package.__path__[0])
         for path in sorted(root.rglob("*.py")):
             sources.update(path.relative_to(root).as_posix().encode() + path.read_bytes())

@@ -1,22 +1,22 @@
 """A fleet from its recordings to its population: what the make lacks is found on some motors, then all are fitted."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.queue import Done
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.fleet.directions import Observation
 from motorlens_workbench.fleet.history import Series, histories
 from motorlens_workbench.fleet.manifest import Entry
 from motorlens_workbench.fleet.odd import MakeEffect
 from motorlens_workbench.fleet.population import Population, needed, population
-from motorlens_workbench.fleet.queue import Done
 from motorlens_workbench.fleet.store import Store
 from motorlens_workbench.fleet.summary import Parabola, with_candidates
-from motorlens_workbench.fleet.work import Beside, Job
+from motorlens_workbench.fleet.work import Beside, Job, Task
 
 # How many motors are asked what the make's model lacks, and how often.
 ASKED, ADDED = 12, 6
@@ -24,7 +24,7 @@ ASKED, ADDED = 12, 6
 # fitted again until that is less than this share of a mean's deviation, so often at most.
 NEGLIGIBLE, AGAIN = 0.25, 4
 
-Work = Callable[[Sequence[Job | Beside]], Iterator[Done[dict[str, Any]]]]
+Work = Callable[[Sequence[Task]], Iterator[Done[dict[str, Any]]]]
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Fleet:
         effects: that the motor file lacked and most motors have; they are in `population.file`.
         faults: of the sensors with which all were recorded; likewise, but no part of the make.
         histories: of all motors with enough dated recordings.
+        diagnoses: motor -> what is missing from the make in it, of those that were diagnosed, see `diagnosis`.
     """
 
     population: Population
@@ -54,6 +55,7 @@ class Fleet:
     effects: tuple[MakeEffect, ...]
     faults: tuple[MakeEffect, ...]
     histories: tuple[Series, ...]
+    diagnoses: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def make(self) -> MotorFile:
@@ -77,7 +79,7 @@ class Fleet:
 
 
 def results(
-    jobs: Sequence[tuple[Entry, Job | Beside]], store: Store, work: Work, progress: Callable[[int, int], None]
+    jobs: Sequence[tuple[Entry, Task]], store: Store, work: Work, progress: Callable[[int, int], None]
 ) -> tuple[Outcome, ...]:
     """The result of every job, from the store where it is there; what is computed is kept at once."""
     keys: list[str] = []

@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -54,6 +54,11 @@ class Job:
             SCHEMA.encode(), code_version().encode(), how.encode(), self.path.suffix.encode(), *content
         )
 
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Of the recordings, one."""
+        return (self.path,)
+
     def recording(self) -> Recording:
         """Read it. Raises DataError: it is none."""
         return read_recording(self.path, self.columns, self.no_values)
@@ -78,9 +83,9 @@ class Beside:
     before: Mapping[str, Any]
 
     @property
-    def path(self) -> Path:
-        """Of the recording."""
-        return self.job.path
+    def paths(self) -> tuple[Path, ...]:
+        """Of the recordings, one."""
+        return self.job.paths
 
     def key(self) -> str:
         """The name of its result. Raises OSError: the recording cannot be read."""
@@ -97,8 +102,22 @@ class Beside:
         return {"schema": SCHEMA, "converged": found.converged, "parabola": parabola(found, names).as_json()}
 
 
-def analysed(job: Job | Beside) -> dict[str, Any]:
-    """The result of a recording; where it or the model is at fault, {"failed": why}.
+class Task(Protocol):
+    """What the queue does: one result, that follows from content."""
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Of the recordings."""
+
+    def key(self) -> str:
+        """The name of its result. Raises OSError: a recording cannot be read."""
+
+    def result(self) -> dict[str, Any]:
+        """The result, without a path or a time. Raises MotorlensError: recordings or model are at fault."""
+
+
+def analysed(job: Task) -> dict[str, Any]:
+    """The result of a job; where its recordings or the model are at fault, {"failed": why}.
 
     Raises:
         OSError: the recording cannot be read now.
@@ -106,11 +125,11 @@ def analysed(job: Job | Beside) -> dict[str, Any]:
     try:
         return job.result()
     except MotorlensError as error:
-        # Without the path, which is no part of the content.
-        return {
-            "schema": SCHEMA,
-            "failed": " ".join(str(error).replace(str(job.path), "").split()).lstrip(":, "),
-        }
+        # Without paths, which are no part of the content.
+        text = str(error)
+        for path in job.paths:
+            text = text.replace(str(path), path.name if len(job.paths) > 1 else "")
+        return {"schema": SCHEMA, "failed": " ".join(text.split()).lstrip(":, ")}
 
 
 def _fitted(job: Job) -> dict[str, Any]:

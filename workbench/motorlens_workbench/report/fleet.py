@@ -34,6 +34,7 @@ def to_text(fleet: Fleet) -> list[str]:
         f"{fleet.population.motors[m]}: {sentence}" for m in fleet.odd for sentence in differences(fleet, m)
     ]
     lines += [change_sentence(series) for series in changed(fleet)]
+    lines += [f"{motor}: {sentence}" for motor, sentence in _diagnoses(fleet)]
     lines.append("")
     head = ("parameter", "make", "+-", "between motors", "between recordings", "unit")
     lines.append(f"{head[0]:32}{head[1]:>12}{head[2]:>10}{head[3]:>16}{head[4]:>20}  {head[5]}")
@@ -86,6 +87,7 @@ def to_json(fleet: Fleet, motor: str) -> dict[str, Any]:
         },
         "motors": [
             {
+                **({"diagnosis": dict(fleet.diagnoses[name])} if name in fleet.diagnoses else {}),
                 "motor": name, "oddness": float(found.oddness[m]), "odd": bool(found.differences[m]),
                 "differences": [_difference_json(fleet, d) for d in found.differences[m]],
                 "alone": {key: float(alone[m, k]) for k, key in enumerate(found.keys)},
@@ -129,6 +131,11 @@ def to_html(fleet: Fleet, motor: str, command: str) -> Page:
     if fleet.failed:
         summary.append(f"{_count(len(fleet.failed), 'recording')} could not be used; they are listed below.")
     sections = [Section("Odd motors", _odd_content(fleet)), Section("The make", _make_content(fleet))]
+    if fleet.diagnoses:
+        table = Table(
+            ["motor", "what is missing from the make in it"], [list(row) for row in _diagnoses(fleet)]
+        )
+        sections.append(Section("Diagnoses", [table]))
     if changed(fleet):
         sections.append(Section("What changed", _change_content(fleet)))
     sections += [
@@ -153,6 +160,14 @@ def make_sentence(fleet: Fleet, effect: MakeEffect) -> str:
     helped = f"it helps {100 * effect.share:.0f} % of the motors asked"
     whose = "All were recorded with" if effect.of_sensor else "The make has"
     return f"{whose} {_names(effect.key, effect.alike)}: {size}; {helped}."
+
+
+def _diagnoses(fleet: Fleet) -> list[tuple[str, str]]:
+    """Motors that were diagnosed, and the verdict of each in a sentence."""
+    return [
+        (motor, str(said.get("sentence") or f"could not be diagnosed: {said['failed']}"))
+        for motor, said in fleet.diagnoses.items()
+    ]
 
 
 def _in_common(fleet: Fleet) -> list[str]:

@@ -1,19 +1,22 @@
-"""Tasks on Dask distributed: a cluster on this machine, or one that is there; results as they come, failures in words.
+"""What takes long, on Dask distributed: a cluster here, or one that is there; results as they come, failures in words.
 
-A task is a function of a module and one argument. Dask runs it again where a worker has died; what kills its workers each
-time, or raises, fails alone and the rest goes on. One process a worker and one thread each: the libraries below have their
-own locks and memory, and numbers come out the same whoever computes them.
+A task is a function of a module, one argument, and what all tasks share. Dask runs it again where a worker has died; what
+kills its workers each time, or raises, fails alone and the rest goes on. One process a worker and one thread each: the
+libraries below have their own locks and memory, and numbers come out the same whoever computes them.
 """
 
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from motorlens_runtime.errors import DataError, DeviceError, MotorlensError
 
 if TYPE_CHECKING:
+    import argparse
+
     from distributed import Client
 
 T = TypeVar("T")
@@ -37,6 +40,53 @@ class Done(Generic[U]):
     number: int
     value: U | None
     failure: str = ""
+
+
+class Work(Protocol):
+    """Does tasks: a function of a module of each, and of what they share if that is given; outcomes as they come."""
+
+    def __call__(self, function: Callable[..., U], tasks: Sequence[Any], *shared: Any) -> "Iterator[Done[U]]":
+        """See `worked`."""
+
+
+@contextmanager
+def queue(
+    scheduler: str | None = None, workers: int | None = None, memory: str = "auto",
+    started: Callable[["Client"], None] = lambda client: None,
+) -> Iterator[Work]:  # fmt: skip
+    """Where tasks are done; a cluster is started when the first are.
+
+    Args:
+        scheduler, workers, memory: see `cluster`; 0 workers is this process.
+        started: told the client.
+
+    Raises:
+        DataError, DeviceError, ModuleNotFoundError: see `cluster`, `checked_workers`.
+    """
+    checked_workers(workers)
+    with ExitStack() as stack:
+        clients: list[Client] = []
+
+        def work(function: Callable[..., U], tasks: Sequence[Any], *shared: Any) -> Iterator[Done[U]]:
+            if workers == 0 and scheduler is None:
+                return here(function, tasks, *shared)
+            if not clients:
+                clients.append(stack.enter_context(cluster(scheduler, workers, memory)))
+                started(clients[0])
+            return worked(clients[0], function, tasks, *shared)
+
+        yield work
+
+
+def add_queue_arguments(parser: "argparse.ArgumentParser", workers: str = "one a core") -> None:
+    """Give a command `--scheduler`, `--workers` and `--memory`."""
+    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a Dask cluster that is there")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help=f"processes on this machine (default: {workers}; 0: this one)"
+    )  # fmt: skip
+    parser.add_argument(
+        "--memory", default="auto", metavar="SIZE", help="most that a worker may use, as 2GB (default: its share)"
+    )  # fmt: skip
 
 
 @contextmanager
@@ -93,14 +143,15 @@ def cluster(
 
 
 def worked(
-    client: "Client", function: Callable[[T], U], tasks: Sequence[T], *, retries: int = RETRIES
+    client: "Client", function: Callable[..., U], tasks: Sequence[Any], *shared: Any, retries: int = RETRIES
 ) -> Iterator[Done[U]]:
     """Outcomes of tasks, as they come.
 
     Args:
         client: see `cluster`.
         function: of a module that the workers can import.
-        tasks: its arguments; small ones.
+        tasks: its first arguments; small ones.
+        shared: further arguments, the same for all; sent to each worker once.
         retries: how often a task that raised is tried again.
 
     Raises:
@@ -111,8 +162,13 @@ def worked(
 
     gone = DeviceError("the cluster has gone; call the command again, it goes on where it was")
 
+    # Not handed over directly: what only workers held would be gone with the last of them.
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        sent = [client.submit(_itself, one, pure=False, retries=retries) for one in shared]
+
     def submitted(number: int) -> Any:
-        future = client.submit(function, tasks[number], pure=False, retries=retries)
+        future = client.submit(function, tasks[number], *sent, pure=False, retries=retries)
         numbers[future.key] = number
         return future
 
@@ -144,11 +200,15 @@ def worked(
             yield Done(number, None, " ".join(f"{type(error).__name__}: {error}".split()))
 
 
-def here(function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[Done[U]]:
+def _itself(what: T) -> T:
+    return what
+
+
+def here(function: Callable[..., U], tasks: Sequence[Any], *shared: Any) -> Iterator[Done[U]]:
     """The same in this process, one after the other: for a few tasks, and where Dask is not installed."""
     for number, task in enumerate(tasks):
         try:
-            yield Done(number, function(task))
+            yield Done(number, function(task, *shared))
         except (MotorlensError, OSError) as error:
             yield Done(number, None, " ".join(str(error).split()))
         except Exception as error:  # one task fails, the rest goes on

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from helpers.fleet_tasks import task
 
+from motorlens_physics import queue
+from motorlens_physics.queue import cluster, worked
 from motorlens_runtime.errors import DeviceError
-from motorlens_workbench.fleet import queue
-from motorlens_workbench.fleet.queue import cluster, worked
 
 pytest.importorskip("distributed")
 
