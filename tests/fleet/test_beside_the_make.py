@@ -54,7 +54,7 @@ def test_what_each_recording_tells_poorly_is_not_drawn_to_one_side(tmp_path):
             known = job.make if isinstance(job, Beside) else job.file
             sd = known.knowledge["H"].sd or 0.5 * known.motor.H
             asked.append(type(job))
-            told = parabola(shown[job.path], known.motor.H, sd)
+            told = parabola(shown[job.paths[0]], known.motor.H, sd)
             yield Done(number, {"parabola": replace(told, information=np.array(told.information)).as_json()})
 
     entries = [Entry(path.name[:3], path, path.name) for path in shown]

@@ -50,7 +50,7 @@ def studied(folder: Path, gain: float):
 
     def work(jobs):
         for number, job in enumerate(jobs):
-            yield Done(number, {"parabola": parabolas[job.path.name].as_json()})
+            yield Done(number, {"parabola": parabolas[job.paths[0].name].as_json()})
 
     template = Job(entries[0].path, read_motor_file("mellah2016"))
     return study(entries, template, Store(folder / "results"), work), template.file, ke
