@@ -3,8 +3,8 @@
     python benchmarks/null.py --count 200 --seed 1 -o null.jsonl
 
 Worlds of the hidden-effect simulator (another plant, other code), small recordings, nothing hidden; motor, noise, converter,
-excitation and channels drawn as in the blind benchmark. Printed are the quantiles of the excess over the null of the
-recording (`evidence.null`), of hypotheses with a name and without, and the largest by kind of noise and excitation.
+excitation and channels drawn as in the blind benchmark. Printed are the quantiles of the weight of the heaviest hypothesis
+with a name, as it was fitted in full, and without one, over the weight that is needed, and the largest by factor.
 The file is appended to, and a world that is in it is not computed again. Some 8 s of processor time a world.
 """
 
@@ -13,6 +13,7 @@ import json
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,13 +26,12 @@ sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve
 
 from helpers.hidden import Case, draw, generate  # noqa: E402
 
-from motorlens_physics.estimate.estimate import estimate  # noqa: E402
-from motorlens_physics.estimate.run import prepare_all  # noqa: E402
 from motorlens_physics.motor_file import read_motor_file  # noqa: E402
 from motorlens_physics.recording import read_recording  # noqa: E402
 from motorlens_workbench.contest import needed_weight  # noqa: E402
-from motorlens_workbench.diagnose import fitted_of  # noqa: E402
-from motorlens_workbench.standing import stand  # noqa: E402
+from motorlens_workbench.diagnose import diagnose  # noqa: E402
+from motorlens_workbench.evidence.held_out import times_noise  # noqa: E402
+from motorlens_workbench.verdict import settle  # noqa: E402
 
 LEVELS = (0.5, 0.9, 0.95, 0.99, 1.0)
 
@@ -55,53 +55,51 @@ def largest(case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as place:
         made = generate(case, Path(place))
         file = read_motor_file(made.motor)
-        runs = prepare_all([read_recording(path) for path in made.recordings], file)
-    found = estimate(file, runs)
-    here = stand(fitted_of(found))
+        found = diagnose(file, [read_recording(path) for path in made.recordings])
+    here = found.outcome.first
     row: dict[str, Any] = {
         "id": case.id, "noise": case.noise_kind, "excitation": case.excitation, "channels": case.channels,
         "records": case.records, "late": sorted({c for run in found.runs for c in run.late}),
     }  # fmt: skip
-    for word, named in (("named", True), ("unnamed", False)):
-        rivals = [one for one in here.challengers if one.named == named]
-        row[word] = [
-            {
-                "name": one.name,
-                "excess": round(float(here.null.excess(one.weight)), 2),
-                "share": round(float(2 * one.weight / one.colour), 5) if one.colour > 0 else None,
-                "needed": round(float(one.weight / needed_weight(here, (), one.colour, named=named)), 4),
-            }
-            for one in rivals
-            if here.null is not None
-        ]
+    row["verdict"] = settle(found).kind
+    row["times_noise"] = round(times_noise(here.book, here.lines), 3)
+    row["named"] = [{"name": name, "needed": round(times, 4)} for name, times in found.outcome.judged.items()]
+    row["unnamed"] = [
+        {
+            "name": one.name,
+            "excess": round(float(here.null.excess(one.weight)), 2),
+            "share": round(float(2 * one.weight / one.colour), 5) if one.colour > 0 else None,
+            "needed": round(float(one.weight / needed_weight(here, (), one.colour, named=False)), 4),
+        }
+        for one in here.challengers
+        if here.null is not None and not one.named
+    ]
     return row | {"seconds": round(time.process_time() - began, 2)}
 
 
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Quantiles, and the largest by factor."""
     yield f"{len(rows)} worlds with nothing missing, {np.median([row['seconds'] for row in rows]):.1f} s each"
-    yield "weight of the heaviest, as a multiple of what is needed, and its excess over the null in widths"
+    yield "weight of the heaviest, with a name as fitted in full, as a multiple of what is needed"
     yield f"{'quantile':>20s} " + " ".join(f"{level:8.0%}" for level in LEVELS)
     for word in ("named", "unnamed"):
-        for key in ("needed", "excess"):
-            largest = np.array([max((one[key] for one in row[word]), default=0.0) for row in rows])
-            told = " ".join(f"{q:8.2f}" for q in np.quantile(largest, LEVELS))
-            yield f"{word + ', ' + key:>20s} {told}   " + (
-                f"above 1: {np.sum(largest > 1)}" if key == "needed" else ""
-            )
+        largest = np.array([max((one["needed"] for one in row[word]), default=0.0) for row in rows])
+        told = " ".join(f"{q:8.2f}" for q in np.quantile(largest, LEVELS))
+        yield f"{word:>20s} {told}   above 1: {np.sum(largest > 1)}"
+    told = " ".join(f"{q:8.2f}" for q in np.quantile([row["times_noise"] for row in rows], LEVELS))
+    yield f"{'error over noise':>20s} {told}"
+    verdicts = Counter(row["verdict"] for row in rows)
+    yield "verdicts: " + ", ".join(f"{word} {count}" for word, count in verdicts.most_common())
     for factor in ("noise", "excitation", "channels", "records"):
         for value in sorted({row[factor] for row in rows}):
             mine = [row for row in rows if row[factor] == value]
             tops = [_heaviest(mine, word) for word in ("named", "unnamed")]
-            told = "   ".join(
-                f"{top['needed']:6.2f} {top['excess']:7.1f} {top['name'].replace('_', ' '):30s}"
-                for top in tops
-            )
+            told = "   ".join(f"{top['needed']:6.2f} {top['name'].replace('_', ' '):30s}" for top in tops)
             yield f"{factor:>12s} {value:16s} {len(mine):4d} {told}"
 
 
 def _heaviest(rows: list[dict[str, Any]], word: str) -> dict[str, Any]:
-    nothing = {"name": "", "excess": 0.0, "needed": 0.0}
+    nothing = {"name": "", "needed": 0.0}
     return max((one for row in rows for one in row[word]), key=lambda one: one["needed"], default=nothing)
 
 

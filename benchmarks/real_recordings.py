@@ -118,7 +118,7 @@ def ksu_thermal(folder: Path) -> None:
 
 
 def undcmotor(folder: Path) -> None:
-    names = ("prbs_open", "step_open", "stairs_closed", "profile_closed")
+    names = ("prbs_open", "step_closed", "stairs_closed", "profile_closed")
     runs = [folder / "undcmotor" / f"DCmotor_{name}_exp.csv" for name in names]
     answer = diagnose(runs, MOTORS / "undcmotor.toml", "--column=voltage=u", "--column=speed_deg_s=y")
     tell("undcmotor, open and closed loop", answer)

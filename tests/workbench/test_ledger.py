@@ -74,6 +74,20 @@ def test_a_score_is_what_regression_beside_the_priors_says(problem):
     )
 
 
+def test_a_free_term_is_no_larger_than_what_drives_the_motor(problem):
+    """Its typical size is the width of a prior: one more row of the regression for each of its columns."""
+    columns, error = problem
+    book = book_of(columns[:, :2], [columns[:, 2:4]], error)
+    (entry,) = book.entries
+    score = book.beside().score(replace(entry, hypothesis=replace(entry.hypothesis, typical=0.01)))
+    assert score is not None
+    design = np.vstack([columns[:, :4], np.diag([1.0, 1.0, 100.0, 100.0])])
+    full = np.linalg.lstsq(design, np.append(error, np.zeros(4)), rcond=None)[0]
+    assert score.coefficient == pytest.approx(full[2:], rel=1e-6)
+    # Without it the second of the columns is at 0.2.
+    assert abs(score.coefficient[1]) < 0.15 < abs(score_of(book).coefficient[1])
+
+
 def test_moves_beside_a_shape_are_those_of_the_regression(problem):
     columns, error = problem
     book = book_of(columns[:, :2], [columns[:, 2:3]], error)

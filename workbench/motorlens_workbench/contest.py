@@ -7,7 +7,7 @@ with all that could stand in its place.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,15 @@ from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Challenger, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, with_hypothesis, without_hypothesis
-from motorlens_workbench.standing import Standing, stand, summed, under
+from motorlens_workbench.standing import Standing, stand, summed, under, unlikely_from
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 # Effects that are looked for at most, and hypotheses that are fitted in full at each step.
 EFFECTS, REFITTED = 3, 4
+# Share of what a name wins that the model must not keep without it.
+OWN = 0.5
 # Orders of magnitude over which the prior of a free curve's size is spread (Zellner's g).
 SPREAD = 10.0 ** np.arange(7)
 
@@ -90,6 +92,7 @@ class Outcome:
         rivals: of each of these.
         unnamed: the term without a name that is beyond chance, and that no name explains; None if none is.
         refused: names that the screen points at, but that do not hold when fitted.
+        judged: the heaviest that every name fitted in full was, in multiples of the weight that is needed.
     """
 
     first: Standing
@@ -98,6 +101,7 @@ class Outcome:
     rivals: tuple[Rivals, ...]
     unnamed: Score | None
     refused: tuple[str, ...]
+    judged: Mapping[str, float]
 
 
 def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lambda text: None) -> Outcome:
@@ -110,28 +114,36 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     first = here = stand(base, own)
     accepted: list[Accepted] = []
     refused: list[str] = []
+    judged: dict[str, float] = {}
     nameless: tuple[Standing, list[Accepted]] | None = None
     while len(accepted) < EFFECTS:
         challengers = beyond_chance(here, accepted, refused)
         if not challengers:
             break
-        if nameless is None and not likeliest(challengers).named:
+        if nameless is None and any(not one.named for one in challengers):
             nameless = here, list(accepted)
         step = _entered(here, challengers, refused, own, say)
         refused += step.refused
-        if step.standing is not None and step.accepted is not None:
+        judged |= {name: max(times, judged.get(name, 0.0)) for name, times in step.judged.items()}
+        if step.standing is not None:
             here, refused = step.standing, []
-            accepted.append(step.accepted)
-            here, accepted = _needed(here, accepted, own, say)
+            if step.accepted is not None:
+                accepted.append(step.accepted)
+                here, accepted = _needed(here, accepted, own, say)
         elif not step.refused:
             break
     remains = any(not one.named for one in beyond_chance(here, accepted, refused))
-    if remains and nameless is not None:
-        # Names together do not explain what a term without one does: they only imitate it.
+    if remains and nameless is not None and _imitate(nameless[0], here):
         here, accepted = nameless
     unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
     rivals = tuple(rivals_of(here, one) for one in accepted)
-    return Outcome(first, here, tuple(accepted), rivals, unnamed, tuple(dict.fromkeys(refused)))
+    return Outcome(first, here, tuple(accepted), rivals, unnamed, tuple(dict.fromkeys(refused)), judged)
+
+
+def _imitate(nameless: Standing, here: Standing) -> bool:
+    """Whether names that entered since explain less than what remains beside them, of which they may be a part."""
+    remains = max((one.won for one in here.challengers if not one.named), default=0.0)
+    return nameless.unlikely - unlikely_from(nameless, here.fitted) < remains
 
 
 def needed_weight(
@@ -215,6 +227,7 @@ class _Step:
     standing: Standing | None = None
     accepted: Accepted | None = None
     refused: tuple[str, ...] = ()
+    judged: Mapping[str, float] = field(default_factory=dict)
 
 
 def _entered(
@@ -245,12 +258,14 @@ def _entered(
     made = [(one, fitted) for one, fitted in zip(tried, fits, strict=True) if fitted is not None]
     made.sort(key=lambda pair: -posterior(pair[0], base.cost - pair[1].cost, scatter))
     failed: list[str] = []
+    judged: dict[str, float] = {}
     for one, fitted in made:
         step = _judged(here, one, fitted, own)
-        if step is not None:
-            return replace(step, refused=tuple(failed))
+        judged |= step.judged
+        if step.standing is not None:
+            return replace(step, refused=tuple(failed), judged=judged)
         failed.append(one.name)
-    return _Step(refused=tuple({*failed, *([strongest.name] if strongest.named else [])}))
+    return _Step(refused=tuple({*failed, *([strongest.name] if strongest.named else [])}), judged=judged)
 
 
 def _beside(equation: str) -> tuple[str, ...]:
@@ -260,20 +275,33 @@ def _beside(equation: str) -> tuple[str, ...]:
     }.get(equation, (equation,))  # fmt: skip
 
 
-def _judged(here: Standing, one: Challenger, fitted: Fitted, own: Sequence[type[Effect]]) -> _Step | None:
-    """A hypothesis fitted in full, if it is beyond chance as seen from the model that has it."""
+def _judged(here: Standing, one: Challenger, fitted: Fitted, own: Sequence[type[Effect]]) -> _Step:
+    """A hypothesis fitted in full; it enters if it is beyond chance."""
     hypothesis = one.score.entry.hypothesis
     try:
-        end = settled(fitted)
-        book = summed(end)
-        score = own_score(book, end, hypothesis)
-        if score is None or score.weight < needed_weight(here, (), book.colour):
-            return None
+        # It was fitted under what noise the strongest would leave; from there and from the model's own, noise is found anew.
+        ends = [settled(start) for start in (fitted, replace(fitted, runs=here.fitted.runs))]
+        unlikely = [unlikely_from(here, end) for end in ends]
+        end, won = ends[int(np.argmin(unlikely))], here.unlikely - min(unlikely)
+        book, plain = summed(end)
+        score = held_score(book, plain, end, hypothesis)
+        if score is None:
+            return _Step()
+        # Never more than the rise of the likelihood, each model with a noise of its own.
+        score = score.winning(won)
+        judged = {one.name: score.weight / needed_weight(here, (), book.colour)}
+        if judged[one.name] < 1.0:
+            return _Step(judged=judged)
+        # What a name wins is not its own if the model keeps as much without it: it had ended short of where it fits best.
+        without = without_hypothesis(end, one.name)
+        bare = None if without is None else settled(without)
+        if bare is not None and here.unlikely - unlikely_from(here, bare) > OWN * won:
+            return _Step(stand(bare, own), judged={})
         then = stand(end, own)
     except ModelError:
-        return None
+        return _Step()
     entered = Accepted(hypothesis, score.gain / score.scatter, score.scatter, score.weight, one.score.doubt)
-    return _Step(then, entered)
+    return _Step(then, entered, judged=judged)
 
 
 def own_score(book: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:
@@ -284,8 +312,18 @@ def own_score(book: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | N
     null = fitted.model.file.meaning(key).null or 0.0
     size = (fitted.model.values()[key] - null) / fitted.prior.sd[key]
     others = [other for other in book.keys if not other.startswith(f"{hypothesis.name}.")]
-    free = replace(hypothesis, kind="unnamed")
+    free = replace(hypothesis, kind="unnamed", typical=float("inf"))
     return book.beside(others, {key: size}).score(book.entry_of(key, free, hypothesis.shapes[0]))
+
+
+def held_score(book: Ledger, plain: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:
+    """Of an accepted hypothesis, the weaker of what it explains beside the colour of the noise, and with the noise as white.
+
+    Colour takes away what lasts, white noise believes all of it: what is missing shows either way.
+    """
+    both = [own_score(one, fitted, hypothesis) for one in (book, plain)]
+    told = [score for score in both if score is not None]
+    return min(told, key=lambda score: score.weight) if len(told) == len(both) else None
 
 
 def _needed(
@@ -294,7 +332,7 @@ def _needed(
     """Without what is no longer needed beside what entered later."""
     for one in accepted[:-1]:
         others = [other for other in accepted if other is not one]
-        score = own_score(here.book, here.fitted, one.hypothesis)
+        score = held_score(here.book, here.plain or here.book, here.fitted, one.hypothesis)
         if score is None or here.null is None or score.weight >= needed_weight(here, others):
             continue
         fitted = without_hypothesis(here.fitted, one.hypothesis.name)
@@ -322,12 +360,11 @@ def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
     unit = prior.sd[key] / abs(accepted.hypothesis.typical)
     entry = replace(itself.entry, hypothesis=accepted.hypothesis)
     scores[name] = replace(itself, entry=entry, information=itself.information / unit**2)
+    # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival.
     weights = {
         other: log_bayes_factor(score, scatter)
         for other, score in scores.items()
-        if score.entry.hypothesis.named
+        if score.entry.hypothesis.named and (other == name or log_bayes_factor(score, itself.scatter) > 0)
     }
-    # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival.
-    weights = {other: weight for other, weight in weights.items() if weight > 0 or other == name}
     total = logsumexp(list(weights.values()))
     return Rivals(name, {other: float(np.exp(w - total)) for other, w in weights.items()}, scores)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.model import error_of, predict
 from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
 from motorlens_physics.estimate.weighed import BRIEFLY
 from motorlens_physics.threads import on_all_cores
@@ -39,12 +40,16 @@ class Standing:
         look: under the noise of the model.
         null: of the largest weight; None where nothing can be tested.
         challengers: the heaviest hypotheses, the heaviest first.
+        unlikely: twice the negative logarithmic likelihood of what the model leaves, as noise of its own.
+        plain: sums of the fitted parameters alone with the sensors' noise taken as white, as the fit took it.
     """
 
     fitted: Fitted
     look: Look
     null: Null | None
     challengers: tuple[Challenger, ...] = ()
+    unlikely: float = float("inf")
+    plain: Ledger | None = None
 
     @property
     def lines(self) -> tuple[Line, ...]:
@@ -79,15 +84,16 @@ def stand(fitted: Fitted, own: Sequence[type[Effect]] = ()) -> Standing:
     null = null_of([score for score in here.scores if score.possible], np.random.default_rng(SEED))
     if null is None:
         return Standing(fitted, here, None)
+    plain = ledger(lines, noises, fitted.prior, (), plain=True)
     quiet = [without_torque(line) for line in lines]
     bare = look(lines, quiet, fitted.prior, listed, constants, plain=True)
     heaviest = _strongest(fitted, (here, bare), null)
     # The parameters alone may do better than where the fit has ended.
     nothing = ([line.error for line in lines], here.rests(None), bare.rests(None))
-    unlikely = min(_unlikely(noises, lines, rests) for rests in nothing)
+    unlikely = min(unlikelihood(noises, lines, rests) for rests in nothing)
     weighed = on_all_cores(lambda one: _challenger(one[0], one[1], noises, fitted, unlikely), heaviest)
     ranked = sorted([one for one in weighed if one is not None], key=lambda one: -one.weight)
-    return Standing(fitted, here, null, tuple(ranked))
+    return Standing(fitted, here, null, tuple(ranked), unlikely, plain)
 
 
 def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
@@ -103,14 +109,32 @@ def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
     return fitted, ledger(here.lines, noises, here.fitted.prior, ()).beside()
 
 
-def summed(fitted: Fitted) -> Ledger:
-    """The sums of a model's fitted parameters alone.
+def summed(fitted: Fitted) -> tuple[Ledger, Ledger]:
+    """The sums of a model's fitted parameters alone, beside the colour of the noise and with the sensors' noise as white.
 
     Raises:
         ModelError: the model cannot be simulated.
     """
     lines = [Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs)]
-    return ledger(lines, [_noise(line) for line in lines], fitted.prior, ())
+    noises = [_noise(line) for line in lines]
+    coloured, white = (ledger(lines, noises, fitted.prior, (), plain=plain) for plain in (False, True))
+    return coloured, white
+
+
+def unlikely_from(here: Standing, fitted: Fitted) -> float:
+    """How unlikely what another model leaves is, as `Standing.unlikely`.
+
+    The noise of the inputs goes through the motor that stands, not through the other: or a motor that responds less would
+    have less of it, and be preferred.
+
+    Raises:
+        ModelError: the model cannot be simulated.
+    """
+    rests = []
+    for line in here.lines:
+        _, shown = predict(fitted.model, line.run, line.r)
+        rests.append(error_of(line.model, line.run, line.r, line.run.measured - shown, line.linear))
+    return unlikelihood([_noise(line) for line in here.lines], here.lines, rests)
 
 
 def without_torque(line: Line) -> Noise:
@@ -159,13 +183,16 @@ def _challenger(
     again = book.beside().score(entry)
     if again is None or not again.possible:
         return None
-    own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis))
-    # Under a noise of its own a hypothesis may seem to win what it has lost by parting with a likelier noise.
+    own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis)).doubted(score.doubt)
     won = unlikely - sum(there for _, there in found)
-    return Challenger(own.doubted(score.doubt).winning(won), tuple(likely), book.colour, won)
+    if not own.entry.hypothesis.named:
+        # Under a noise of its own a term may seem to win what it has lost by parting with a likelier noise. What a name wins
+        # is told when it is fitted in full: far from null the linearised problem leaves more than the name does.
+        own = own.winning(won)
+    return Challenger(own, tuple(likely), book.colour, won)
 
 
-def _unlikely(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence[Array]) -> float:
+def unlikelihood(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence[Array]) -> float:
     """Twice the negative logarithmic likelihood of what is left (N, C) of each run, as noise."""
     return sum(
         likelier(noise, line.run, line.linear, rest, line.run.there, BRIEFLY)[1]

@@ -8,6 +8,7 @@ import numpy as np
 from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
+from motorlens_physics.estimate.run import Run
 from motorlens_workbench.contest import Accepted, needed_weight, own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
@@ -65,7 +66,7 @@ def settle(found: Finding) -> Verdict:
     last = outcome.last
     times = times_noise(last.book, last.lines)
     kind, equation = _kind(found, held, groups, times)
-    shape = outcome.unnamed if kind == "unknown" else None
+    shape = (outcome.unnamed or _heaviest_unnamed(last)) if kind == "unknown" else None
     return Verdict(kind, chosen, tuple(groups), equation, probability, shape, tuple(limits(found, times)))
 
 
@@ -76,8 +77,13 @@ def _kind(found: Finding, held: list, groups: list, times: float) -> tuple[str, 
     if unnamed is not None:
         return "unknown", unnamed.entry.hypothesis.equation
     if not held:
+        heaviest = _heaviest_unnamed(found.outcome.last)
+        if not any(_moves(run) for run in found.runs):
+            return "not_testable", None
+        if times > CRITERIA.follows and heaviest is not None:
+            return "unknown", heaviest.entry.hypothesis.equation
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
-        return ("not_testable" if blind or times > CRITERIA.follows else "adequate"), None
+        return ("not_testable" if blind else "adequate"), None
     if any(len(group) > 1 for group in groups):
         kind = "group"
     elif all(one.hypothesis.kind == "sensor" for one, _ in held):
@@ -85,6 +91,18 @@ def _kind(found: Finding, held: list, groups: list, times: float) -> tuple[str, 
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
+
+
+def _moves(run: Run) -> bool:
+    """Whether anything that was measured changes: what stands still, whatever it shows, tells nothing."""
+    told = [y[there] for y, there in zip(run.measured.T, run.there.T, strict=True)]
+    return any(len(y) > 0 and bool(np.ptp(y) > 0) for y in told)
+
+
+def _heaviest_unnamed(here: Standing) -> Score | None:
+    """The term without a name that explains most beside its scatter; None without any."""
+    free = [score for score in here.scores if score.possible and not score.entry.hypothesis.named]
+    return max(free, key=lambda score: score.weight, default=None)
 
 
 def _names(found: Finding) -> list[str]:
@@ -174,7 +192,8 @@ def of_key(found: Finding, one: Accepted, key: str) -> tuple[float, float]:
     """A parameter of an accepted hypothesis and its standard deviation."""
     last = found.outcome.last
     keys = list(last.fitted.prior.keys)
-    seen = own_score(last.book, last.fitted, one.hypothesis)
+    # The fit's covariance takes the noise as white: so does what it scatters by.
+    seen = own_score(last.plain or last.book, last.fitted, one.hypothesis)
     scatter = (seen.scatter if seen else one.scatter) + one.doubt
     variance = float(last.fitted.covariance[keys.index(key), keys.index(key)])
     return last.fitted.model.values()[key], float(np.sqrt(max(variance, 0.0) * scatter))

@@ -251,8 +251,9 @@ class Beside:
         by_block, inner = by_block * kept, inner * np.outer(kept, kept)
         information = inner.sum(axis=0)
         precision = information.copy()
-        if entry.hypothesis.named:
-            precision += np.eye(len(kept)) / CRITERIA.largest**2
+        largest = CRITERIA.largest if entry.hypothesis.named else entry.hypothesis.typical
+        if largest > 0:
+            precision += np.eye(len(kept)) / largest**2
         back = inverse(precision[np.ix_(kept, kept)])
         whole = np.zeros_like(information)
         whole[np.ix_(kept, kept)] = back

@@ -110,7 +110,13 @@ def changes(book: Ledger, lines: Sequence[Line], equations: Mapping[str, str]) -
                     )
                 )
                 tables.append(after)
-        hypothesis = Hypothesis(f"{key} changes at once", "unnamed", equations[key], tuple(made))
+        hypothesis = Hypothesis(
+            f"{key} changes at once",
+            "unnamed",
+            equations[key],
+            tuple(made),
+            typical=abs(values[key]) / book.unit[key],
+        )
         for shape, after in zip(made, tables, strict=True):
             cross = (book.base[:, :, c] * after[:, None])[:, :, None]
             inner = (book.base[:, c, c] * after)[:, None, None]

@@ -193,4 +193,13 @@ def courses(
             load_like = not loaded and equation == "mechanical" and against in ("time", "temperature")
             if against in allowed and not load_like:
                 made.append(Course(key, equation, file.meaning(key).unit, against, knots))
-    return [Hypothesis(course.name, "unnamed", course.equation, (course,)) for course in made]
+    return [
+        Hypothesis(
+            course.name,
+            "unnamed",
+            course.equation,
+            (course,),
+            typical=abs(_value(file.motor, course.parameter)),
+        )
+        for course in made
+    ]

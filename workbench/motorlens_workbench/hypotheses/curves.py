@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.estimate.shaft import turning
+from motorlens_physics.parameter import Rated
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.hypotheses.effects import EQUATIONS
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
@@ -156,7 +157,7 @@ def variables(trajectory: Trajectory) -> dict[str, Array]:
     }
 
 
-def curves(trajectories: Sequence[Trajectory]) -> list[Hypothesis]:
+def curves(trajectories: Sequence[Trajectory], rated: Rated) -> list[Hypothesis]:
     """Free curves of every balance against every variable that varies.
 
     A voltage or a torque that goes with time, or with the temperature that rises with it, is none of them: noise of the
@@ -166,7 +167,20 @@ def curves(trajectories: Sequence[Trajectory]) -> list[Hypothesis]:
     listed = [one for one in every if one.balance == "heat" or one.against not in ("time", "temperature")]
     if any("phi" in trajectory.states for trajectory in trajectories):
         listed.append(Curve("torque", "angle", np.linspace(0, 2 * np.pi, ROUND, endpoint=False)))
-    return [Hypothesis(curve.name, "unnamed", curve.equation, (curve,)) for curve in listed]
+    driven = what_drives(rated)
+    return [
+        Hypothesis(curve.name, "unnamed", curve.equation, (curve,), typical=driven[curve.balance])
+        for curve in listed
+    ]
+
+
+def what_drives(rated: Rated) -> dict[str, float]:
+    """What each balance is made of in rated operation, in V, N m and W: no free term is much larger."""
+    return {
+        "voltage": rated.voltage_V,
+        "torque": rated.torque_Nm,
+        "heat": rated.voltage_V * rated.current_A,
+    }
 
 
 def free_curves(trajectories: Sequence[Trajectory], balances: Sequence[str]) -> list[Curve]:

@@ -27,7 +27,7 @@ def everything(lines: Sequence[Line], own: Sequence[type[Effect]] = ()) -> list[
     return [
         *effects(file, own),
         *sensors(file, runs),
-        *curves(trajectories),
+        *curves(trajectories, file.rated),
         *memories(trajectories),
         *courses(file, trajectories, channels, loaded=loaded),
         *contacts(lines),

@@ -35,7 +35,8 @@ class Hypothesis:
         equation: "electrical", "mechanical", "thermal", "coupling", or the channel of a sensor.
         shapes: the forms it may take.
         key: the parameter that is its size, "" without a name.
-        typical: size of one unit of its columns, away from null, in the unit of that parameter.
+        typical: size of one unit of its columns, away from null, in the unit of that parameter; without a name, the
+            coefficient that would be as large as what drives the motor, or as the parameter that is no constant.
     """
 
     name: str
@@ -43,7 +44,7 @@ class Hypothesis:
     equation: str
     shapes: tuple[Shape, ...]
     key: str = ""
-    typical: float = 1.0
+    typical: float = float("inf")
 
     @property
     def named(self) -> bool:

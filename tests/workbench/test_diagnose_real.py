@@ -1,0 +1,52 @@
+"""What the diagnosis says of real motors, against what is documented of them (README of the recordings)."""
+
+import pytest
+from helpers.recordings import FOLDER, REGBOT_LEFT, needs_recordings, regbot
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import read_recording
+from motorlens_workbench.diagnose import diagnose
+from motorlens_workbench.evidence.held_out import held_out
+from motorlens_workbench.verdict import settle
+
+# A drop at brushes and driver of a few tenths of a volt, and what imitates it: an offset that is there at any speed.
+DROP = {"brush_voltage_drop", "dead_time", "coasting_bridge", "current_sensor_offset", "speed_sensor_offset"}
+FRICTION = {"coulomb_friction", "hysteresis_iron_loss", "directional_friction", "constant_torque"}
+
+
+def diagnosed(paths, motor, columns=()):
+    found = diagnose(read_motor_file(motor), [read_recording(path, columns) for path in paths])
+    return found, settle(found)
+
+
+@needs_recordings
+@pytest.mark.fit
+def test_a_drop_of_the_driver_is_among_what_a_wheel_motor_lacks():
+    found, verdict = diagnosed([FOLDER / "regbot" / "robot_11_L.csv"], FOLDER / "regbot" / "command.toml")
+    assert verdict.kind in ("group", "unknown")
+    assert {"dead_time", "brush_voltage_drop"} <= set(verdict.groups[0])
+    first, last = found.outcome.first, found.outcome.last
+    before, after = held_out(first.book, first.lines), held_out(last.book, last.lines)
+    assert after["speed"] < 0.75 * before["speed"] and after["current"] < 0.75 * before["current"]
+
+
+@needs_recordings
+@pytest.mark.fit
+def test_three_wheel_motors_in_one_call_lack_a_drop_and_a_friction():
+    """Held-out robots ran 2.24, then 1.58, then 1.30 rad/s off when the two were added, by the owners."""
+    paths = [regbot(robot) for robot in (1, 3, 5)]
+    found, verdict = diagnosed(paths, FOLDER / "regbot" / "command.toml", REGBOT_LEFT)
+    assert verdict.kind in ("group", "unknown") and len(verdict.groups) >= 2
+    offered = [set(group) for group in verdict.groups]
+    assert any(group & {"brush_voltage_drop", "dead_time"} for group in offered)
+    assert any(group & FRICTION for group in offered)
+    assert set(verdict.chosen) <= DROP | FRICTION
+    last = found.outcome.last
+    assert held_out(last.book, last.lines)["speed"] < 1.5
+
+
+@needs_recordings
+@pytest.mark.fit
+def test_nothing_is_told_from_a_motor_that_stands_still():
+    _, verdict = diagnosed([FOLDER / "bad" / "const.csv"], FOLDER / "regbot" / "command.toml")
+    assert verdict.kind == "not_testable" and not verdict.chosen
