@@ -16,6 +16,7 @@ from motorlens_train.material import (
     VARYING,
     bank_of,
     electrical,
+    evenly,
     from_motor,
     from_recordings,
     relative,
@@ -69,7 +70,7 @@ def test_motors_of_one_make_differ_by_the_tolerance_and_not_by_more() -> None:
     assert off.std(0) == pytest.approx(0.1 / np.sqrt(3), rel=0.15)
     assert np.abs(np.corrcoef(off.T) - np.eye(len(VARYING))).max() < 0.3
     assert relative(MOTOR, 0.0, np.random.default_rng(0)) is MOTOR
-    assert dict(tolerant(ObserverSettings(), 0.1).tolerances)["ke"] == pytest.approx(0.1 / np.sqrt(3))
+    assert dict(tolerant(ObserverSettings(), evenly(0.1)).tolerances)["ke"] == pytest.approx(0.1 / np.sqrt(3))
 
 
 def test_a_tolerance_that_no_make_has_is_refused() -> None:
