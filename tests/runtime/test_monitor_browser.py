@@ -148,6 +148,37 @@ def test_hold_holds_and_a_zoom_shows_the_part(browser, page):
         eventually(lambda: not tab.is_visible("#held"), "live again")
 
 
+def test_an_answer_to_what_nobody_asks_any_more_is_not_drawn(browser, page):
+    saw = page.add(HEADER, "saw")
+    page.publish(rows(0, 40))
+    saw.publish(rows(0, 10, 50.0))
+    with opened(browser, page.url) as tab:
+        eventually(lambda: len(drawn(tab, "speed")[0]) == 800, "all rows")
+        meanwhile(tab, "/live", "choose(60)")  # the same window: the answer under way holds what is new, which is nothing
+        tab.click("#hold")
+        eventually(lambda: tab.is_visible("#held"), "the mark")
+        assert len(drawn(tab, "speed")[0]) == 800
+        meanwhile(tab, "/live", "document.querySelectorAll('#motors button')[1].click()")
+        eventually(lambda: len(drawn(tab, "speed")[0]) == 200 and number_of(tab, "speed") < 60, "the saw")
+        meanwhile(tab, "/motors", "about = null; document.querySelectorAll('#motors button')[0].click()")
+        eventually(lambda: len(drawn(tab, "speed")[0]) == 800 and number_of(tab, "speed") > 100, "the press")
+        assert tab.inner_text("#status").startswith("Uncertain: simulated drive")
+
+
+def meanwhile(tab, path, act):
+    """Do something in the page after the next answer to `path` has come and before it is read."""
+    tab.evaluate(
+        f"""() => new Promise(done => {{
+            const plain = ask;
+            ask = async (...all) => {{
+                const reply = await plain(...all);
+                if (all[0].startsWith("{path}")) {{ ask = plain; {act}; done(); }}
+                return reply;
+            }};
+        }})"""
+    )
+
+
 def test_a_dead_line_is_bad_dated_and_without_a_time_to_the_limit(browser, page):
     page.publish(rows(0, 10))
     counts = {"samples": 10, "lost": 0, "time_to_limit_s": {"temperature within 120 s": 85.0}}

@@ -29,7 +29,7 @@ async function start() {
   for (;;) {
     try {
       if (!about) await introduce();
-      await news();
+      if (about) await news();
     } catch (error) {
       gone(error.message);
     }
@@ -38,13 +38,14 @@ async function start() {
 }
 
 async function news() {
-  let live, of, asked;
+  let live;
   do {
-    of = motor;
-    asked = windowS;
-    live = await ask(`/live?motor=${of}&window=${asked}&level=${shown.level}&after=${shown.after}`);
-    if (asked === windowS && of === motor) take(live); // else it answers a question that nobody asks any more
-  } while (live.more || asked !== windowS || of !== motor);
+    const asked = shown;
+    live = await ask(`/live?motor=${motor}&window=${windowS}&level=${asked.level}&after=${asked.after}`);
+    // Whoever chooses meanwhile, be it the same window, begins anew: what came goes on from rows that are no longer there.
+    if (asked !== shown) return;
+    take(live);
+  } while (live.more);
   tell(live);
   complete = shown.time.length > 0;
   if (wantsHold) hold();
@@ -59,8 +60,9 @@ async function ask(path, document_) {
 }
 
 async function introduce() {
-  const found = await ask(`/about?motor=${motor}`);
+  const of = motor, found = await ask(`/about?motor=${of}`);
   motors = (await ask("/motors")).motors;
+  if (of !== motor) return;
   about = found;
   put($("about"), `motorlens monitor: ${about.sensor} ${about.version}`);
   $("quantities").replaceChildren();
