@@ -154,7 +154,9 @@ def test_an_answer_to_what_nobody_asks_any_more_is_not_drawn(browser, page):
     saw.publish(rows(0, 10, 50.0))
     with opened(browser, page.url) as tab:
         eventually(lambda: len(drawn(tab, "speed")[0]) == 800, "all rows")
-        meanwhile(tab, "/live", "choose(60)")  # the same window: the answer under way holds what is new, which is nothing
+        meanwhile(
+            tab, "/live", "choose(60)"
+        )  # the same window: the answer under way holds what is new, which is nothing
         tab.click("#hold")
         eventually(lambda: tab.is_visible("#held"), "the mark")
         assert len(drawn(tab, "speed")[0]) == 800

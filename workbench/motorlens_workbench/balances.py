@@ -18,6 +18,8 @@ from motorlens_physics.simulation import Trajectory
 Array = NDArray[np.float64]
 
 EQUATIONS = {"electrical": "V", "mechanical": "N*m", "thermal": "W"}
+# Samples of which the balances are taken together.
+_AT_ONCE = 65_536
 
 
 def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> dict[str, Array]:
@@ -35,23 +37,22 @@ def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted
     states = dict(trajectory.states)
     for k, channel in enumerate(run.channels):
         states[STATE_OF[channel]] = states[STATE_OF[channel]] + run.measured[:, k] - predicted[:, k]
-    x = SimpleNamespace(**states)
-    u = SimpleNamespace(
-        v=inputs.voltage_V, load=inputs.load_torque_Nm, ambient=inputs.ambient_C, t=inputs.time_s
-    )
     pace = time_constants(motor)
-    masses = (motor.L, motor.J, motor.H)
+    masses = dict(zip(EQUATIONS, (motor.L, motor.J, motor.H), strict=True))
     reach = filter_times(run, pace)
-    missing = {}
-    for name, balance, mass, state in zip(
-        EQUATIONS, motor.balances(x, u), masses, STATE_OF.values(), strict=True
-    ):
-        tau = reach[name]
-        smooth = lowpass(
-            np.broadcast_to(balance, run.inputs.time_s.shape).astype(np.float64), inputs.time_s, tau
-        )
-        rate = (states[state] - lowpass(states[state], inputs.time_s, tau)) / tau
-        missing[name] = mass * rate - smooth
+    missing = {name: np.empty(len(inputs.time_s)) for name in EQUATIONS}
+    # Sample by sample, so some at a time: of a long recording the steps of a formula would need more room than its data.
+    for begin in range(0, len(inputs.time_s), _AT_ONCE):
+        rows = slice(begin, begin + _AT_ONCE)
+        x = SimpleNamespace(**{state: y[rows] for state, y in states.items()})
+        some = inputs.part(rows)
+        u = SimpleNamespace(v=some.voltage_V, load=some.load_torque_Nm, ambient=some.ambient_C, t=some.time_s)
+        for name, balance in zip(EQUATIONS, motor.balances(x, u), strict=True):
+            missing[name][rows] = balance
+    for name, state in zip(EQUATIONS, STATE_OF.values(), strict=True):
+        y, tau = states.pop(state), reach[name]
+        rate = (y - lowpass(y, inputs.time_s, tau)) / tau
+        missing[name] = masses[name] * rate - lowpass(missing[name], inputs.time_s, tau)
     return missing
 
 
@@ -67,16 +68,16 @@ def filter_times(run: Run, pace: TimeConstants) -> dict[str, float]:
 
 def lowpass(y: Array, time_s: Array, tau_s: float) -> Array:
     """First-order low-pass of (N,) samples that run linearly in between, exact for uneven spacing; starts at y[0]."""
-    dt = np.diff(time_s)
-    return np.asarray(_follow(y, np.diff(y) / dt, np.exp(-dt / tau_s), tau_s))
+    return np.asarray(_follow(y, time_s, tau_s))
 
 
 @njit(cache=True)
-def _follow(y, slope, keep, tau):  # type: ignore[no-untyped-def]
+def _follow(y, time, tau):  # type: ignore[no-untyped-def]
     # Exact for a ramp: s' = y1 - slope tau + (s - y0 + slope tau) keep.
-    out = np.empty_like(y)
+    out = np.empty(len(y))
     out[0] = y[0]
-    for k in range(len(slope)):
-        lag = slope[k] * tau
-        out[k + 1] = y[k + 1] - lag + (out[k] - y[k] + lag) * keep[k]
+    for k in range(len(y) - 1):
+        dt = time[k + 1] - time[k]
+        lag = (y[k + 1] - y[k]) / dt * tau
+        out[k + 1] = y[k + 1] - lag + (out[k] - y[k] + lag) * np.exp(-dt / tau)
     return out

@@ -8,7 +8,6 @@ away.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,19 +43,28 @@ NOISELESS = 1e-12
 class Overlay(FreeRun):
     """One recording and the model's free run on it, and what each equation lacks."""
 
-    missing: Mapping[str, Array]  # equation -> (N,) in the unit of `EQUATIONS`
+    missing: Mapping[str, NDArray[np.float32]]  # equation -> (N,) in the unit of `EQUATIONS`, as it is drawn
 
-    @cached_property
-    def spectra(self) -> Mapping[str, tuple[Array, Array]]:
-        """Channel -> frequencies (Hz) and power (unit^2, one-sided, sums to the mean square) of its error."""
+    def error_of(self, channel: str) -> Array:
+        """(N,) measured less predicted; 0 where nothing was measured."""
+        k = self.run.channels.index(channel)
+        return np.where(self.run.valid, self.run.measured[:, k] - self.predicted[:, k], 0.0)
+
+    @property
+    def band_Hz(self) -> tuple[float, float]:
+        """The lowest and the highest frequency of its spectra."""
+        time = self.run.inputs.time_s
+        samples = next_fast_len(len(time), real=True)
+        lowest = (1 - 1 / samples) / float(time[-1] - time[0])
+        return lowest, lowest * (samples // 2)
+
+    def spectrum(self, channel: str) -> tuple[Array, Array]:
+        """Frequencies (Hz) and power (unit^2, one-sided, sums to the mean square) of the error of a channel."""
         time = self.run.inputs.time_s
         # Evenly resampled, to as many samples as have a fast transform.
         even = np.linspace(time[0], time[-1], next_fast_len(len(time), real=True))
-        frequency = np.fft.rfftfreq(len(even), even[1] - even[0])
-        return {
-            name: (frequency, _power(np.interp(even, time, self.error[:, c])))
-            for c, name in enumerate(self.run.channels)
-        }
+        power = _power(np.interp(even, time, self.error_of(channel)))
+        return np.fft.rfftfreq(len(even), even[1] - even[0]), power
 
     @property
     def noise(self) -> Array:
@@ -166,7 +174,8 @@ def compare(
 
 def _overlay(model: Model, r: int, one: FreeRun) -> Overlay:
     missing = missing_of(model, one.run, r, one.trajectory, one.predicted)
-    return Overlay(one.run, one.trajectory, one.predicted, one.floor, missing)
+    drawn = {name: missing.pop(name).astype(np.float32) for name in EQUATIONS}
+    return Overlay(one.run, one.trajectory, one.predicted, one.floor, drawn)
 
 
 def _note(recording: Recording) -> str:
@@ -180,7 +189,7 @@ def _note(recording: Recording) -> str:
 
 def _channel(channel: str, overlays: Sequence[Overlay]) -> Channel:
     holding = [(o, o.run.channels.index(channel)) for o in overlays if channel in o.run.channels]
-    error = np.concatenate([o.error[o.run.valid, k] for o, k in holding])
+    error = np.concatenate([o.error_of(channel)[o.run.valid] for o, _ in holding])
     measured = np.concatenate([o.run.measured[o.run.valid, k] for o, k in holding])
     if not len(error):
         raise DataError(f"{holding[0][0].run.name}: no row holds all measured outputs")
@@ -200,7 +209,8 @@ def _equations(
     whole = sum(removable.values())
     found = {}
     for name, unit in EQUATIONS.items():
-        rms = float(np.sqrt(np.mean(np.concatenate([o.missing[name] for o in overlays]) ** 2)))
+        lacking = np.concatenate([o.missing[name] for o in overlays])
+        rms = float(np.sqrt(np.mean(lacking**2, dtype=np.float64)))
         share = removable.get(name, 0.0) / whole if whole > 0 else 0.0
         found[name] = Equation(unit, rms, share, not reasons[name], reasons[name])
     return found
@@ -249,7 +259,9 @@ def _removable(
                 rows.average(curve.columns(line))[kept] / sigma[None, :, None]
             )
             at += curve.width
-        error = replace(overlay.run, every=size).average(overlay.error)[kept] / sigma
+        blocks = replace(overlay.run, every=size)
+        errors = [blocks.average(overlay.error_of(channel)) for channel in blocks.channels]
+        error = np.stack(errors, axis=1)[kept] / sigma
         flat = columns.reshape(-1, len(owner))
         gram += flat.T @ flat
         gradient += flat.T @ error.ravel()
@@ -294,7 +306,11 @@ def remark(name: str, overlays: Sequence[Overlay]) -> str:
 
 def _in_sigma(overlay: Overlay) -> Array:
     """(N,) error of a sample in standard deviations of the noise, over its channels."""
-    return np.asarray(np.sqrt(np.mean((overlay.error / overlay.noise) ** 2, axis=1)))
+    channels = overlay.run.channels
+    whole = np.zeros(len(overlay.run.valid))
+    for channel, noise in zip(channels, overlay.noise, strict=True):
+        whole += (overlay.error_of(channel) / noise) ** 2
+    return np.sqrt(whole / len(channels))
 
 
 def _state(overlay: Overlay, channel: str) -> Array:
@@ -371,7 +387,7 @@ def _bands(channel: str, overlays: Sequence[Overlay], pace: TimeConstants) -> di
     for o in overlays:
         if channel not in o.run.channels:
             continue
-        frequency, density = o.spectra[channel]
+        frequency, density = o.spectrum(channel)
         band = np.searchsorted(borders, frequency)
         for k, name in enumerate(power):
             power[name] += float(density[band == k].sum())
@@ -397,7 +413,7 @@ def _orders(
             continue
         if abs(angle[-1] - angle[0]) < 2 * np.pi * fewest_turns:
             continue
-        error = o.error[:, o.run.channels.index("speed")]
+        error = o.error_of("speed")
         waves = np.exp(-1j * np.outer(np.arange(1, highest + 1), angle))
         found += np.abs(waves @ error) * 2 / len(error)
         counted += 1

@@ -58,8 +58,8 @@ def beside(
         DataError: see `run.prepare`.
         ModelError: the motor cannot be simulated on one of them.
     """
-    runs = prepare_all(recordings, file)
     long = [r for r, recording in enumerate(recordings) if is_long(recording)]
+    runs = prepare_all(recordings, file)
     begins = [one.part(slice(0, PART)) if is_long(one) else one for one in recordings]
     lively = [recordings[r].part(runs[r].liveliest(PART)) for r in long]
     progress("finding how each recording starts, and its noise")

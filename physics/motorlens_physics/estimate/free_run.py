@@ -7,7 +7,6 @@ the sensor itself, and what the noise of the measured inputs stirs up in the sim
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -42,7 +41,7 @@ class FreeRun:
     predicted: Array
     floor: Array
 
-    @cached_property
+    @property
     def error(self) -> Array:
         """(N, C) measured less predicted; 0 where nothing was measured."""
         return np.where(self.run.valid[:, None], self.run.measured - self.predicted, 0.0)

@@ -90,25 +90,23 @@ def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
     own, shown = model.own[r], run.inputs
     motor, held = model.file.motor, model.held[r] if model.held else shown.hold
-    detents, ripple = np.zeros(len(shown.time_s)), np.zeros(len(shown.time_s))
-    for effect in by_angle(model, run):
-        assert run.shaft is not None
-        added = of_angle(effect, motor, SimpleNamespace(**run.shaft), as_read(shown), held=held[0])
-        detents, ripple = detents + added.torque, ripple + added.voltage
     load = shown.load_torque_Nm
     if "load_torque" in run.known:  # a sensor that was not there shows nothing wrong
         load = _unread(model.file.sensors, "load_torque", shown.time_s, load)
     voltage = _unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V)
     if run.corrections is not None:
         voltage, load = voltage + run.corrections[:, 0], load + run.corrections[:, 1]
-    inputs = replace(
-        shown,
-        voltage_V=voltage + ripple,
-        load_torque_Nm=load + own.get("load", 0.0) - detents,
-        ambient_C=shown.ambient_C + own.get("ambient", 0.0),
-        held=held,
-    )
-    return inputs
+    ambient = shown.ambient_C
+    # Of a long recording each array counts: what adds nothing makes no other.
+    if "load" in own:
+        load = load + own["load"]
+    if "ambient" in own:
+        ambient = ambient + own["ambient"]
+    for effect in by_angle(model, run):
+        assert run.shaft is not None
+        added = of_angle(effect, motor, SimpleNamespace(**run.shaft), as_read(shown), held=held[0])
+        voltage, load = voltage + added.voltage, load - added.torque
+    return replace(shown, voltage_V=voltage, load_torque_Nm=load, ambient_C=ambient, held=held)
 
 
 def start_of(model: Model, r: int) -> dict[str, float]:
@@ -132,12 +130,16 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
         tolerance=model.tolerance,
         smooth=True,
     )
-    return trajectory, shown(model, run, r, _stack(run, trajectory))
+    return trajectory, _read(model, run, r, _stack(run, trajectory))
 
 
 def shown(model: Model, run: Run, r: int, y: Array) -> Array:
     """(N, C) true outputs to what the sensors show."""
-    out = np.array(y, dtype=np.float64)
+    return _read(model, run, r, np.array(y, dtype=np.float64))
+
+
+def _read(model: Model, run: Run, r: int, out: Array) -> Array:
+    """Turn true outputs into what the sensors show, in place."""
     for k, channel in enumerate(run.channels):
         for sensor in model.file.sensors:
             if sensor.channel == channel:

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from motorlens_physics.large_arrays import give_back
 from motorlens_physics.reading import Array, Table
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.layout import HEAD_BYTES, MISSING, Layout, is_comment, layout_of, number, split
@@ -126,6 +127,7 @@ def _by_arrow(
     if not body.is_utf8():
         return None
     parts: dict[int, list[Array]] = {k: [] for k in used}
+    give_back()
     try:
         with (
             body.opened() as file,

@@ -210,16 +210,13 @@ def _range(span: tuple[float, float]) -> str:
 def _band_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
     pace = time_constants(found.file.motor)
     corners = {"thermal": pace.thermal_s, "mechanical": pace.mechanical_s, "electrical": pace.electrical_s}
-    spectra = {
-        f"{o.run.name}: {channel}": (channel, *o.spectra[channel]) for o in found.overlays for channel in o.run.channels
-    }  # fmt: skip
-    least = min(float(f[1]) for _, f, _ in spectra.values())
-    most = max(float(f[-1]) for _, f, _ in spectra.values())
-    at = np.geomspace(least, most, POINTS)
+    bands = [o.band_Hz for o in found.overlays]
+    at = np.geomspace(min(low for low, _ in bands), max(high for _, high in bands), POINTS)
     roles = {"current": "predicted", "speed": "lacking", "temperature": "measured"}
     lines = {
-        name: (roles[channel], _cumulative(at, frequency, power))
-        for name, (channel, frequency, power) in spectra.items()
+        f"{o.run.name}: {channel}": (roles[channel], _cumulative(at, *o.spectrum(channel)))
+        for o in found.overlays
+        for channel in o.run.channels
     }
     caption = "Cumulative periodogram of the error. The dotted lines are the motor's own corner frequencies."
     content: list[str | Table | Bars | Grid | Plot] = [

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.run import STATE_OF, UNIT_OF, Run
 from motorlens_physics.simulation import Trajectory
-from motorlens_workbench.report.pictures import Axes, Line, Plot, time_plots
+from motorlens_workbench.report.pictures import Axes, Line, Plot, Series, time_plots
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ def overlay(
     trajectory: Trajectory,
     predicted: Mapping[str, tuple[str, Array]],
     noise: Mapping[str, float],
-    lacks: Mapping[str, Array] | None = None,
+    lacks: Mapping[str, Series] | None = None,
 ) -> Plot:
     """The plots of one recording.
 
@@ -28,10 +28,12 @@ def overlay(
         noise: channel -> standard deviation of the noise floor; the band is twice that.
         lacks: equation -> (N,) what it lacks.
     """
-    axes, data = [], {}
+    axes: list[Axes] = []
+    data: dict[str, Series] = {}
     for k, channel in enumerate(run.channels):
         measured = f"{channel}, measured"
-        data[measured] = np.where(run.valid, run.measured[:, k], np.nan)
+        # As it stands in the page: of a long recording each array counts.
+        data[measured] = np.where(run.valid, run.measured[:, k].astype(np.float32), np.float32(np.nan))
         lines, errors = [Line("measured", "measured", measured)], []
         for name, (role, values) in predicted.items():
             series = f"{channel}, {name}"
@@ -53,12 +55,12 @@ def overlay(
     for channel, state in STATE_OF.items():
         states[channel] = f"{channel}, measured"
         if channel not in run.channels:
-            ambient = inputs.ambient_C if channel == "temperature" else 0.0
+            simulated = trajectory.temperature_C if channel == "temperature" else trajectory.states[state]
             states[channel] = f"{channel}, simulated"
-            data[states[channel]] = trajectory.states[state] + ambient
+            data[states[channel]] = simulated
     named = {equation: f"what the {equation} equation lacks" for equation in lacks or {}}
-    for equation, values in (lacks or {}).items():
-        data[named[equation]] = values
+    for equation, lacking in (lacks or {}).items():
+        data[named[equation]] = lacking
     caption = (
         f"{run.name}. Drag to zoom, double-click for all of it. The grey band is two standard "
         "deviations of the noise floor."

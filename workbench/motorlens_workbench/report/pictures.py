@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Series = NDArray[np.float64] | NDArray[np.float32]
 
 # Stamps that are further than this share of a period from an even grid are kept one by one.
 EVEN = 1e-3
@@ -111,7 +112,7 @@ class Plot:
     """A picture drawn in the browser: `spec` for the script `plots.js`, and the series (N,) that it names."""
 
     spec: Mapping[str, Any]
-    data: Mapping[str, Array] = field(default_factory=dict)
+    data: Mapping[str, Series] = field(default_factory=dict)
     caption: str = ""
 
 
@@ -140,7 +141,7 @@ def time_plots(
     name: str,
     time_s: Array,
     axes: Sequence[Axes],
-    data: Mapping[str, Array],
+    data: Mapping[str, Series],
     states: Mapping[str, str],
     lacks: Mapping[str, str] | None = None,
     caption: str = "",
@@ -197,7 +198,7 @@ def cloud(x: str, y: str, state: str, equation: str, caption: str = "") -> Plot:
     return Plot({"kind": "cloud", "x": x, "y": y, "state": state, "lacks": equation}, {}, caption)
 
 
-def packed(values: Array, kind: str = "<f4") -> str:
+def packed(values: Series, kind: str = "<f4") -> str:
     """A series as text, base64 of little-endian numbers.
 
     >>> packed(np.array([1.0, -2.0]))
