@@ -103,7 +103,7 @@ def parity(name: str, total: int) -> bool:
         f"bits of the states {'equal' if states else 'DIFFER'}; estimates within {worst:.1e} of scale, "
         f"deviations {deviation:.1e}"
     )
-    return words and states and worst < 1e-9
+    return words and states and worst < 1e-12 and deviation < 1e-12
 
 
 def frames(total: int) -> bool:

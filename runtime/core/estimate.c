@@ -112,27 +112,29 @@ static void fill_lanes(motorlens_lanes *known, int count, int rows)
             known[k][lane] = known[k][0];
 }
 
-void motorlens_evaluate_rows(const motorlens_sensor *sensor, motorlens_lanes *features, int rows, double *estimate,
-                             double *sigma, uint32_t *quality)
+void motorlens_evaluate_rows(const motorlens_sensor *sensor, const motorlens_lanes *features, int rows, int64_t stride,
+                             double *estimate, double *sigma, uint32_t *quality)
 {
     const int outputs = sensor->network.outputs, distrust = sensor->envelope.distrust;
     motorlens_lanes columns[MOTORLENS_COLUMNS];
-    motorlens_lanes values[MOTORLENS_OUTPUTS], deviations[MOTORLENS_OUTPUTS], squares;
+    motorlens_lanes values[MOTORLENS_OUTPUTS], deviations[MOTORLENS_OUTPUTS], squares, finite = {0};
     if (distrust >= 0)
         for (int row = 0; row < rows; row++)
             if (features[distrust][row] > 0.0)
                 quality[row] |= MOTORLENS_QUALITY_UNFORETOLD;
     motorlens_whitened(&sensor->envelope, sensor->features.features, features, columns, squares);
     motorlens_network_evaluate(&sensor->network, sensor->features.features, columns, values, deviations);
+    for (int k = 0; k < outputs; k++) {
+        memcpy(estimate + k * stride, values[k], (size_t)rows * sizeof *estimate);
+        memcpy(sigma + k * stride, deviations[k], (size_t)rows * sizeof *sigma);
+        for (int lane = 0; lane < MOTORLENS_LANES; lane++) /* 0, or NaN once there is one that is not finite */
+            finite[lane] += (values[k][lane] - values[k][lane]) + (deviations[k][lane] - deviations[k][lane]);
+    }
     for (int row = 0; row < rows; row++) {
         if (squares[row] > sensor->envelope.limit)
             quality[row] |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;
-        for (int k = 0; k < outputs; k++) {
-            if (!(isfinite(values[k][row]) && isfinite(deviations[k][row])))
-                quality[row] |= MOTORLENS_QUALITY_NOT_FINITE;
-            *estimate++ = values[k][row];
-            *sigma++ = deviations[k][row];
-        }
+        if (isnan(finite[row]))
+            quality[row] |= MOTORLENS_QUALITY_NOT_FINITE;
     }
 }
 
@@ -144,7 +146,7 @@ uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *sta
     look(sensor, state, sample, known, 0);
     fill_lanes(known, count, 1);
     motorlens_features_of(&sensor->features, (const motorlens_lanes *)known, features);
-    motorlens_evaluate_rows(sensor, features, 1, estimate, sigma, &quality);
+    motorlens_evaluate_rows(sensor, (const motorlens_lanes *)features, 1, 1, estimate, sigma, &quality);
     return quality;
 }
 
@@ -164,7 +166,6 @@ int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, m
 {
     motorlens_state next = *state;
     const int count = sensor->features.filters + sensor->features.signals + sensor->observer.outputs;
-    const int64_t outputs = sensor->network.outputs;
     motorlens_lanes known[MOTORLENS_KNOWN], features[MOTORLENS_FEATURES];
     int64_t asked = 0, numbers[MOTORLENS_LANES];
     int rows = 0;
@@ -191,8 +192,8 @@ int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, m
             motorlens_features_of(&sensor->features, (const motorlens_lanes *)known, features);
             if (block->look_every > 0)
                 show_features(sensor, block, features, numbers, rows);
-            motorlens_evaluate_rows(sensor, features, rows, block->estimate + first * outputs, block->sigma + first * outputs,
-                                    block->quality + first);
+            motorlens_evaluate_rows(sensor, (const motorlens_lanes *)features, rows, block->m, block->estimate + first,
+                                    block->sigma + first, block->quality + first);
             rows = 0;
         }
     }

@@ -121,29 +121,30 @@ void motorlens_features_of(const motorlens_features *map, const motorlens_lanes 
     }
 }
 
-void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_lanes *features, motorlens_lanes *columns,
-                        double *squares)
+void motorlens_whitened(const motorlens_envelope *envelope, int count, const motorlens_lanes *features,
+                        motorlens_lanes *columns, double *squares)
 {
-    const motorlens_real *column = envelope->whitening;
+    const motorlens_real *weights = envelope->whitening;
     for (int lane = 0; lane < MOTORLENS_LANES; lane++)
         squares[lane] = 0.0;
     for (int j = 0; j < count; j++)
         for (int lane = 0; lane < MOTORLENS_LANES; lane++)
-            features[j][lane] -= envelope->mean[j];
-    for (int k = 0; k < count; k++) {
-        motorlens_lanes sum = {0};
-        if (column == NULL) {
-            memcpy(sum, features[k], sizeof sum);
-        } else {
-            for (int j = k; j < count; j++)
-                for (int lane = 0; lane < MOTORLENS_LANES; lane++)
-                    sum[lane] += column[j - k] * features[j][lane];
-            column += count - k;
+            columns[j][lane] = features[j][lane] - envelope->mean[j];
+    for (int k = 0; k < count; k += MOTORLENS_SUMS) {
+        const int wanted = count - k < MOTORLENS_SUMS ? count - k : MOTORLENS_SUMS;
+        const motorlens_lanes *sums = (const motorlens_lanes *)columns + k;
+        motorlens_lanes room[MOTORLENS_SUMS];
+        if (weights != NULL) {
+            const motorlens_real *of[MOTORLENS_SUMS];
+            for (int m = 0; m < MOTORLENS_SUMS; m++)
+                of[m] = weights + (m < wanted ? m : 0) * (count - k);
+            sums_of(of, (const motorlens_lanes *)columns + k, count - k, room, wanted);
+            weights += wanted * (count - k);
+            sums = (const motorlens_lanes *)room;
         }
-        for (int lane = 0; lane < MOTORLENS_LANES; lane++) {
-            columns[k][lane] = features[k][lane];
-            squares[lane] += sum[lane] * sum[lane];
-        }
+        for (int m = 0; m < wanted; m++)
+            for (int lane = 0; lane < MOTORLENS_LANES; lane++)
+                squares[lane] += sums[m][lane] * sums[m][lane];
     }
 }
 

@@ -94,7 +94,8 @@ typedef struct {
 #else
 typedef struct {
     const double *mean;              /* (features) */
-    const motorlens_real *whitening; /* columns of the lower triangle L, one after another; NULL is the unit matrix */
+    const motorlens_real *whitening; /* the lower triangle L: four columns each from the diagonal of the first; NULL is the
+                                      * unit matrix */
     double limit;                    /* of the sum of squares of z; infinite is none */
     int32_t distrust;                /* the feature that is above 0 where the observer is not to be believed; -1 is none */
 } motorlens_envelope;
@@ -241,7 +242,7 @@ typedef motorlens_real motorlens_lanes[MOTORLENS_LANES];
 
 #if !MOTORLENS_SINGLE
 /* Many samples: n of each array (`ambient_C` and `flags` may be NULL), to be evaluated at the m indices `rows` in rising order
- * (NULL: all). Estimates and deviations are (m, outputs), quality words (m). `features` (looked, features) takes those of the
+ * (NULL: all). Estimates and deviations are (outputs, m), quality words (m). `features` (looked, features) takes those of the
  * first `look_length` of each `look_every` samples since the start that are evaluated (0: of none), `looked` how many they were. */
 typedef struct {
     int64_t n, m, look_every, look_length, looked;
@@ -261,10 +262,10 @@ int64_t motorlens_push(const motorlens_sensor *sensor, motorlens_state *state, m
 /* What features are made of: filters, signals, outputs of the observer. */
 #define MOTORLENS_KNOWN (MOTORLENS_FILTERS + MOTORLENS_SIGNALS + MOTORLENS_OBSERVER)
 
-/* Estimates and deviations (rows, outputs) of `rows` rows of features side by side, and what is added to their quality words.
- * The features are overwritten; all lanes of them are numbers, whatever `rows` is. */
-void motorlens_evaluate_rows(const motorlens_sensor *sensor, motorlens_lanes *features, int rows, double *estimate,
-                             double *sigma, uint32_t *quality);
+/* Estimates and deviations of `rows` rows of features side by side, an output `stride` numbers after the one before, and what is
+ * added to their quality words. All lanes of the features are numbers, whatever `rows` is. */
+void motorlens_evaluate_rows(const motorlens_sensor *sensor, const motorlens_lanes *features, int rows, int64_t stride,
+                             double *estimate, double *sigma, uint32_t *quality);
 #endif
 
 /* ---- its parts --------------------------------------------------------------------------------------------------- */
@@ -283,8 +284,8 @@ void motorlens_wide_sums(const int32_t *weights, const int32_t *columns, int cou
 #else
 void motorlens_bank_values(const motorlens_features *map, const motorlens_bank_state *state, double *values);
 void motorlens_features_of(const motorlens_features *map, const motorlens_lanes *known, motorlens_lanes *features);
-void motorlens_whitened(const motorlens_envelope *envelope, int count, motorlens_lanes *features, motorlens_lanes *columns,
-                        double *squares);
+void motorlens_whitened(const motorlens_envelope *envelope, int count, const motorlens_lanes *features,
+                        motorlens_lanes *columns, double *squares);
 void motorlens_network_evaluate(const motorlens_network *network, int features, motorlens_lanes *columns,
                                 motorlens_lanes *estimate, motorlens_lanes *sigma);
 #endif

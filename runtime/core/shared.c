@@ -21,11 +21,11 @@ size_t motorlens_size(int what)
     }
 }
 
-/* Estimates and deviations (n, outputs) of features (n, features). */
+/* Estimates and deviations (outputs, n) of features (n, features). */
 void motorlens_evaluate_features(const motorlens_sensor *sensor, int64_t n, const double *features, double *estimate,
                                  double *sigma)
 {
-    const int64_t width = sensor->features.features, outputs = sensor->network.outputs;
+    const int64_t width = sensor->features.features;
     for (int64_t first = 0; first < n; first += MOTORLENS_LANES) {
         const int rows = n - first < MOTORLENS_LANES ? (int)(n - first) : MOTORLENS_LANES;
         motorlens_lanes columns[MOTORLENS_FEATURES];
@@ -33,6 +33,6 @@ void motorlens_evaluate_features(const motorlens_sensor *sensor, int64_t n, cons
         for (int64_t k = 0; k < width; k++)
             for (int lane = 0; lane < MOTORLENS_LANES; lane++)
                 columns[k][lane] = features[(first + (lane < rows ? lane : 0)) * width + k];
-        motorlens_evaluate_rows(sensor, columns, rows, estimate + first * outputs, sigma + first * outputs, quality);
+        motorlens_evaluate_rows(sensor, (const motorlens_lanes *)columns, rows, n, estimate + first, sigma + first, quality);
     }
 }

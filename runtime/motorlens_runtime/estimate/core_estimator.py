@@ -94,8 +94,7 @@ class CoreEstimator(Estimator):
         n, count = len(samples), self._memory.bank.count
         looked = None
         if self.sensor.checker is not None and (count % _PERIOD < TILE or -count % _PERIOD < n):
-            number = count + (np.arange(n) if rows is None else rows)
-            looked = np.flatnonzero(number % _PERIOD < TILE)
+            looked = _looked(count, n, rows)
         if looked is None and n <= _FEW:
             estimates, disagree = self._few_pushed(samples, rows), None
         else:
@@ -125,7 +124,7 @@ class CoreEstimator(Estimator):
             _as(samples.ambient_C, np.float64), _as(samples.flags, np.uint32), _as(rows, np.int64),
         ]  # fmt: skip
         m = n if rows is None else len(rows)
-        values, sigma = np.empty((2, m, self._outputs))
+        values, sigma = np.empty((2, self._outputs, m))
         quality = np.empty(m, dtype=np.uint32)
         features = np.empty((0 if looked is None else len(looked), self._features))
         table = BlockTable(
@@ -134,15 +133,24 @@ class CoreEstimator(Estimator):
         )  # fmt: skip
         _run(self._core, self._address, table, samples)
         estimates = Estimates(
-            samples.time_ns if rows is None else samples.time_ns[rows], values, sigma, quality
+            samples.time_ns if rows is None else samples.time_ns[rows], values.T, sigma.T, quality
         )
         if looked is None or not len(looked):
             return estimates, None
         assert self.sensor.checker is not None
         second, _ = self.sensor.checker.evaluate(tiled(features.T, 0))
-        apart = np.abs(untiled(second)[:, : len(looked)].T - values[looked]) / self._scales
+        apart = np.abs(untiled(second)[:, : len(looked)].T - estimates.values[looked]) / self._scales
         wrong = np.flatnonzero(~(apart <= CHECK_TOLERANCE).all(axis=1))
         return estimates, int(looked[wrong[0]]) if len(wrong) else None
+
+
+def _looked(count: int, n: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
+    """Which of `rows` of `n` samples after `count` (None: of all) the second backend looks at."""
+    if rows is not None:
+        return np.flatnonzero((count + rows) % _PERIOD < TILE)
+    tiles = np.arange(-(count % _PERIOD), n, _PERIOD)
+    looked = (tiles[:, None] + np.arange(TILE)).reshape(-1)
+    return looked[(looked >= 0) & (looked < n)]
 
 
 def gate_state_of(gate: Any) -> GateState:
@@ -183,7 +191,8 @@ class _Few:
         self.time_ns = np.empty(_FEW, dtype=np.int64)
         self.voltage_V, self.current_A, self.ambient_C = np.empty((3, _FEW))
         self.flags, self.rows = np.empty(_FEW, dtype=np.uint32), np.empty(_FEW, dtype=np.int64)
-        self.values, self.sigma = np.empty((2, _FEW, outputs))
+        self._outputs = outputs
+        self.values, self.sigma = np.empty((2, outputs * _FEW))
         self.quality = np.empty(_FEW, dtype=np.uint32)
         self._addresses = {name: getattr(self, name).ctypes.data for name in ("ambient_C", "flags", "rows")}
         self._table = BlockTable(
@@ -211,4 +220,6 @@ class _Few:
         table.n, table.m = n, m
         _run(core, state, table, samples)
         time_ns = self.time_ns[:n] if rows is None else samples.time_ns[rows]
-        return Estimates(time_ns, self.values[:m], self.sigma[:m], self.quality[:m])
+        K = self._outputs
+        values, sigma = (array[: K * m].reshape(K, m).T for array in (self.values, self.sigma))
+        return Estimates(time_ns, values, sigma, self.quality[:m])

@@ -72,11 +72,10 @@ def infer(
                 for block in chain((first,), blocks):
                     estimates = estimator.push(block.samples)
                     publisher.publish(estimates)
-                    missing = np.flatnonzero(estimates.quality & Quality.NOT_FINITE)
-                    if first_missing is None and len(missing):
-                        first_missing = rows + int(missing[0])
-                    rows += len(estimates)
                     any_of_them = int(np.bitwise_or.reduce(estimates.quality))
+                    if first_missing is None and any_of_them & Quality.NOT_FINITE:
+                        first_missing = rows + int(np.argmax(estimates.quality & Quality.NOT_FINITE > 0))
+                    rows += len(estimates)
                     for bit in Quality:
                         if bit & any_of_them and bit.name:
                             reasons[bit.name.lower()] += int(np.count_nonzero(estimates.quality & bit))

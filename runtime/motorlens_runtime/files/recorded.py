@@ -138,22 +138,25 @@ class Reading:
         self, time_s: Array, cells: Callable[[int], Array], rows: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         column = self._columns["time"]
-        bad = ~(np.abs(time_s) < _MAX_TIME_S)
-        if bad.any():
-            at = int(np.argmax(bad))
+        if not (time_s.max() < _MAX_TIME_S and time_s.min() > -_MAX_TIME_S):
+            at = int(np.argmax(~(np.abs(time_s) < _MAX_TIME_S)))
             raise DataError(
                 f"{self._name}: row {rows[at]}, column {column.heading!r}: {cells(column.index)[at]} is no time; "
                 "correct or remove the row"
             )
-        time_ns = np.round(time_s * 1e9).astype(np.int64)
-        steps = np.diff(time_ns, prepend=time_ns[0] if self._last_ns is None else self._last_ns)
-        if (steps < 0).any():
+        time_ns = np.rint(time_s * 1e9).astype(np.int64)
+        steps = np.empty_like(time_ns)
+        np.subtract(time_ns[1:], time_ns[:-1], out=steps[1:])
+        steps[0] = 0 if self._last_ns is None else time_ns[0] - self._last_ns
+        least = steps.min()
+        if least < 0:
             at = int(np.argmax(steps < 0))
             raise DataError(
                 f"{self._name}: row {rows[at]}, column {column.heading!r}: time runs backwards by {-steps[at] * 1e-9:g} s; "
                 "sort the file, or split it where the recorder restarted"
             )
-        self.duplicates += int((steps == 0).sum()) - (self._last_ns is None)
+        if least == 0:
+            self.duplicates += int(np.count_nonzero(steps == 0)) - (self._last_ns is None)
         self._last_ns = int(time_ns[-1])
         return time_ns
 

@@ -5,18 +5,20 @@ parts of `rows=65536` rows, see `parquet_folder`.
 """
 
 from pathlib import Path
+from typing import Any
 from urllib.parse import SplitResult
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.files.parquet_folder import ParquetFolder, arrow_of
 from motorlens_runtime.publish import Header, Publisher, file_of, options_of
 
-_ROWS_PER_GROUP = 1 << 15
+_ROWS_PER_GROUP = 1 << 16
 
 
 def open_url(url: SplitResult, header: Header) -> Publisher:
@@ -103,10 +105,15 @@ class ParquetPublisher:
         if not self._rows:
             return
         waiting = self._waiting
-        arrays = [np.concatenate([e.time_ns for e in waiting]) / 1e9]
+        arrays = [_joined([e.time_ns for e in waiting]) / 1e9]
         for output in range(waiting[0].values.shape[1]):
-            arrays.append(np.concatenate([e.values[:, output] for e in waiting]))
-            arrays.append(np.concatenate([e.sigma[:, output] for e in waiting]))
-        arrays.append(np.concatenate([e.quality for e in waiting]))
+            arrays.append(_joined([e.values[:, output] for e in waiting]))
+            arrays.append(_joined([e.sigma[:, output] for e in waiting]))
+        arrays.append(_joined([e.quality for e in waiting]))
         self._writer.write_table(pa.table([arrow_of(array) for array in arrays], schema=self._schema))
         self._waiting, self._rows = [], 0
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """The parts one after another; one alone is not copied."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -56,12 +56,12 @@ class CoreBackend:
     def evaluate(self, features: Array) -> tuple[Array, Array]:
         """See `Backend`."""
         rows = np.ascontiguousarray(features.transpose(0, 2, 1)).reshape(-1, self._features)
-        estimate, sigma = (np.empty((len(rows), self._outputs)) for _ in range(2))
+        estimate, sigma = (np.empty((self._outputs, len(rows))) for _ in range(2))
         self.library.motorlens_evaluate_features(
             self.address, len(rows), rows.ctypes.data, estimate.ctypes.data, sigma.ctypes.data
         )
-        shape = (len(features), TILE, self._outputs)
-        return estimate.reshape(shape).transpose(0, 2, 1), sigma.reshape(shape).transpose(0, 2, 1)
+        shape = (self._outputs, len(features), TILE)
+        return estimate.reshape(shape).transpose(1, 0, 2), sigma.reshape(shape).transpose(1, 0, 2)
 
     def _array(self, values: Any, dtype: Any) -> int:
         array = np.ascontiguousarray(values, dtype=dtype)

@@ -122,9 +122,9 @@ class Tables:
 
     @property
     def triangle(self) -> Array:
-        """The columns of the whitening's lower triangle, one after another; in whole numbers `SIDE_BY_SIDE` of them at a
-        time, all from the diagonal of the first. Empty without one."""
-        matrix, together = (self.whitening, 1) if self.whole is None else (self.whole.whitening, SIDE_BY_SIDE)
+        """The columns of the whitening's lower triangle, as many at a time as the core adds up side by side (MOTORLENS_SUMS),
+        all from the diagonal of the first. Empty without one."""
+        matrix, together = (self.whitening, 4) if self.whole is None else (self.whole.whitening, SIDE_BY_SIDE)
         if matrix is None or not len(matrix):
             return np.zeros(0)
         return np.concatenate([column[k // together * together :] for k, column in enumerate(matrix.T)])
