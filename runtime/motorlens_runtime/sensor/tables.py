@@ -122,8 +122,8 @@ class Tables:
 
     @property
     def triangle(self) -> Array:
-        """The columns of the whitening's lower triangle, as many at a time as the core adds up side by side (MOTORLENS_SUMS),
-        all from the diagonal of the first. Empty without one."""
+        """The columns of the whitening's lower triangle, so many at a time as the core adds up side by side (MOTORLENS_SUMS)
+        and all of them from the diagonal of the first. Empty without one."""
         matrix, together = (self.whitening, 4) if self.whole is None else (self.whole.whitening, SIDE_BY_SIDE)
         if matrix is None or not len(matrix):
             return np.zeros(0)
