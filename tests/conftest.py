@@ -19,6 +19,11 @@ from hypothesis import settings
 for _name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
+# What Python compiles is kept, as numba's code is, for the next run and for the programs that tests start: reading 130 files
+# of tests anew and rewriting their assertions takes each worker six seconds.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # What Python itself keeps for as long as a process lives that has started workers.
 _LASTING = ("multiprocessing.resource_tracker", "multiprocessing.forkserver")
 # A program that has been told to end may need a moment on a busy machine.

@@ -127,6 +127,7 @@ def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path, wh
     assert overview.returncode == 0, overview.stderr
 
 
+@pytest.mark.fit
 def test_the_runtime_runs_with_every_heavy_import_blocked(tmp_path):
     """Where they are installed, an import of any of them raises."""
     write_inputs(tmp_path)
@@ -151,6 +152,7 @@ sys.meta_path.insert(0, Block())
     assert not set(others) & set(json.loads(done.stdout.splitlines()[-1])["imported"])
 
 
+@pytest.mark.fit
 def test_without_onnx_runtime_the_numpy_backend_gives_the_same(tmp_path):
     write_inputs(tmp_path)
     block = "import sys\nsys.modules['onnxruntime'] = None\n"

@@ -11,6 +11,7 @@ DAYS = np.cumsum([0, 30, 31, 28, 30, 31, 30, 5, 60, 30])
 
 @pytest.mark.parametrize("wander", [0.0, 2.0])
 @pytest.mark.parametrize("known", [True, False])
+@pytest.mark.fit
 def test_false_alarms_are_as_rare_as_stated(wander, known):
     rng, level, count = np.random.default_rng(0), 0.05, 400
     sd = np.full(len(DAYS), 0.1)

@@ -64,6 +64,7 @@ def test_the_odd_ones_and_what_is_odd_about_them(plain):
     assert found.lacks is None
 
 
+@pytest.mark.fit
 def test_motors_that_are_odd_in_an_effect_alone_do_not_count(file):
     """They leave the make what it is without them: friction would pass for a spread of b."""
     slight = (3, 25, 50)
@@ -83,6 +84,7 @@ def test_what_all_motors_have_makes_none_of_them_odd(dragging):
     assert odd == {f"m{BROKEN:02d}", f"m{DRAGS:02d}"}
 
 
+@pytest.mark.fit
 def test_nothing_lies_beyond_what_is_possible(file):
     """b, which is told within 50 %, of motors that have none: the normal distribution of it goes below 0."""
     every, _ = drawn(np.random.default_rng(5), 0.0)

@@ -295,6 +295,7 @@ def test_spoilt_bytes_are_read_or_refused_in_one_line(tmp_path):
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.fit
 def test_a_damaged_mdf_file_is_one_line(tmp_path):
     pytest.importorskip("asammdf")
     (tmp_path / "rec.mf4").write_bytes(b"MDF     4.10" + bytes(range(200, 256)) * 5)
@@ -351,6 +352,36 @@ def test_mdf_files_are_read_by_channel(tmp_path):
     temperature = recording.channels["temperature"]
     assert np.flatnonzero(np.isfinite(temperature)).tolist() == [0, 100, 200, 300]
     assert temperature[[0, 300]].tolist() == [20.0, 23.0]
+
+
+@pytest.mark.parametrize("tau_s", [0.005, 0.08, 1.0])
+@pytest.mark.parametrize("turns", ["both ways", "one way"])
+def test_stamps_in_another_unit_than_they_say_are_suspected(tmp_path, tau_s, turns):
+    # First-order from a staircase of the voltage, exact: tau dw/dt = 2 v - w - friction.
+    t = np.arange(4000) * tau_s / 20
+    rng = np.random.default_rng(1)
+    v = np.repeat(rng.uniform(-10.0 if turns == "both ways" else 3.0, 10.0, 40), 100)
+    w = np.zeros(4000)
+    for k in range(1, 4000):
+        goal = 2 * v[k - 1] - np.sign(v[k - 1])
+        w[k] = goal + (w[k - 1] - goal) * np.exp(-1 / 20)
+    w += 0.01 * rng.standard_normal(4000)
+    for stretch, words in ((1.0, ""), (1e3, "time_ms=NAME"), (1e6, "time_ms=NAME"), (1e-6, "time_s=NAME")):
+        table = np.column_stack((stretch * t, v, w))
+        path = tmp_path / "run.csv"
+        np.savetxt(path, table, delimiter=",", header="time_s,voltage_V,speed_rad_s", comments="")
+        told = [note for note in read_recording(path).notes if note.startswith("as stamped")]
+        expected = words if not (stretch == 1e3 and tau_s * stretch < 10) else ""
+        assert (expected in told[0]) if expected else not told
+
+
+@needs_recordings
+def test_milliseconds_stamped_as_seconds_are_suspected_of_a_real_motor(tmp_path):
+    lines = (FOLDER / "bad" / "ms.csv").read_text().splitlines()
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([lines[0].replace("time_ms", "time_s"), *lines[1:]]))
+    assert any("are the stamps in ms" in note for note in read_recording(path).notes)
+    assert not any("stamps" in note for note in read_recording(FOLDER / "bad" / "ms.csv").notes)
 
 
 # What is done to the run of robot 11 in each file of bad/: it reads as the original does ("same"), reads with a word

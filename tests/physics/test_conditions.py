@@ -269,6 +269,7 @@ def test_sensitivities_through_all_switches_agree_with_differences(key: str, smo
         np.testing.assert_allclose(slope[key][state], truth, atol=3e-3 * scale, err_msg=state)
 
 
+@pytest.mark.fit
 def test_forcings_respond_through_all_switches_as_small_changes_do() -> None:
     torque = np.random.default_rng(3).standard_normal(1001)
     _, linear = linearise(FULL, SWITCHED, {"w": 20.0}, tolerance=1e-9, smooth=True)

@@ -86,6 +86,7 @@ def test_near_standstill_nothing_is_late_that_is_not(seed: int) -> None:
     assert max(map(abs, off.values())) < 3.5, off
 
 
+@pytest.mark.fit
 def test_lags_are_weighed_as_if_each_had_been_tried() -> None:
     # One channel without a motor behind it: its innovations are its errors.
     rng, rows, most = np.random.default_rng(0), 400, 12

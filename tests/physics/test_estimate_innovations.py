@@ -73,6 +73,7 @@ class Dense:
         self.inverse = np.linalg.inv(self.whole)
 
 
+@pytest.mark.fit
 def test_whitened_products_and_the_determinant_are_those_of_the_covariance(space: StateSpace) -> None:
     dense, y = Dense(space), np.random.default_rng(1).standard_normal((SAMPLES, CHANNELS, 2))
     filtered = innovations(space, y)
@@ -94,6 +95,7 @@ def test_sums_by_blocks_are_those_of_all_samples_together(space: StateSpace) -> 
         assert found.squares == pytest.approx(together[3, 3], rel=1e-10)
 
 
+@pytest.mark.fit
 def test_smoothed_disturbances_are_their_conditional_means(space: StateSpace) -> None:
     dense, y = Dense(space), np.random.default_rng(2).standard_normal((SAMPLES, CHANNELS, 1))
     seen = disturbances(space, innovations(space, y))[0]

@@ -69,6 +69,7 @@ def turning():
     return replace(file.with_values(wrong), name="wrong"), Recording("turning", time, channels), true, ripple
 
 
+@pytest.mark.fit
 def test_the_angle_is_followed_where_the_simulated_one_is_turns_ahead(turning):
     file, recording, true, _ = turning
     run = prepare_all([recording], file)[0]

@@ -18,6 +18,7 @@ def coloured(rows: int, seed: int) -> np.ndarray:
     return y
 
 
+@pytest.mark.fit
 def test_the_filter_of_a_known_process_is_found():
     y = coloured(40_000, 1)
     whitener = fit_whitener(y, np.ones(len(y), bool), np.zeros(2))

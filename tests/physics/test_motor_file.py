@@ -96,6 +96,7 @@ def test_every_part_of_the_catalogue_round_trips(name, tmp_path):
 
 @settings(max_examples=40, deadline=None)
 @given(st.data())
+@pytest.mark.fit
 def test_any_value_within_bounds_round_trips_to_the_last_bit(tmp_path_factory, data):
     values = {
         name: data.draw(st.floats(*p.bounds, allow_nan=False), label=name)

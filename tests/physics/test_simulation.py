@@ -143,6 +143,7 @@ EVERYTHING = Motor(effects=tuple(effect.at_null(PLATE) for effect in catalogue()
 
 
 @pytest.mark.parametrize("name", catalogue())
+@pytest.mark.fit
 def test_every_effect_agrees_with_scipy(name: str) -> None:
     # One structure holds the whole catalogue and is compiled once; all but one effect are at null.
     effect = catalogue()[name].typical(PLATE)

@@ -164,6 +164,7 @@ def test_the_service_is_one_systemd_accepts_and_finds_hardened(bundled, tmp_path
     assert exposure < 3.0  # of 10; systemd calls up to 4 "OK", most services have above 9
 
 
+@pytest.mark.fit
 def test_scripts_are_plain_shell_and_leave_no_word_unfilled(bundled):
     target, _ = bundled
     for name in ("install.sh", "uninstall.sh"):
@@ -188,6 +189,7 @@ def test_another_machine_gets_its_own_wheels(bundled, tmp_path):
     assert all(other in name for name in built)
 
 
+@pytest.mark.fit
 def test_what_an_ordinary_installation_packs_is_the_same_wheel(bundled, tmp_path):
     """The wheel built from the source, unpacked as an installation, and packed again: the same files, a valid record."""
     target, _ = bundled

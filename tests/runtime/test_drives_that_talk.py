@@ -89,6 +89,7 @@ def voltage_of(name):
 @pytest.mark.parametrize(
     ("answer", "name", "length", "each"), [(vesc, "vesc", 10, 1), (roboclaw, "roboclaw", 2, 3)]
 )
+@pytest.mark.fit
 def test_a_drive_that_must_be_asked_is_asked_and_followed(tmp_path, monkeypatch, answer, name, length, each):
     """On a real line, where a busy machine decides how many answers come in time."""
     monkeypatch.chdir(tmp_path)
@@ -152,6 +153,7 @@ class MadeUpTime:
     ("answer", "name", "each", "given_up"), [(vesc, "vesc", 1, 10), (roboclaw, "roboclaw", 3, 3)]
 )
 @pytest.mark.parametrize("deaf_every", [0, 40])
+@pytest.mark.fit
 def test_each_complete_round_of_answers_is_a_sample(
     tmp_path, monkeypatch, answer, name, each, given_up, deaf_every
 ):

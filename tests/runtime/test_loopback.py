@@ -149,6 +149,7 @@ def test_another_users_program_is_refused_whatever_it_knows(server):
     assert done.stdout == "403\n", done.stderr
 
 
+@pytest.mark.fit
 def test_a_thousand_requests_beside_half_open_connections_are_all_answered():
     """200 clients, 300 connections that never finish their request: nobody is lost, and at most 64 are served at once."""
     now, most, lock = [0], [0], threading.Lock()

@@ -76,6 +76,7 @@ def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(engine, here, monke
     assert len(times) == int(10 * seconds) and times[:2] == [0.0, 0.1]
 
 
+@pytest.mark.fit
 def test_publishing_at_a_rate_gives_rows_of_the_full_output(engine, here):
     with WireDevice(1000, 10, count=300) as device:
         device.start_when_open()
@@ -144,6 +145,7 @@ def test_an_unplugged_device_is_taken_up_again_where_it_was(engine, here):
     assert not int(rows[-1][-1]) & 4
 
 
+@pytest.mark.fit
 def test_a_device_that_stays_away_ends_it_when_asked(here, capsys):
     device = WireDevice(1000, 10, count=100)
     device.start_when_open()
@@ -229,6 +231,7 @@ def write_recording(n=3000):
         )
 
 
+@pytest.mark.fit
 def test_a_file_replayed_is_what_infer_gives(engine, here, capsys):
     write_recording()
     assert run("--source", "file:rec.csv", "--rate", 0) == 0
@@ -239,6 +242,7 @@ def test_a_file_replayed_is_what_infer_gives(engine, here, capsys):
     assert "\n".join(lines("out.csv")) + "\n" == replayed
 
 
+@pytest.mark.fit
 def test_mean_decimation(engine, here):
     write_recording()
     run(
@@ -318,6 +322,7 @@ def test_a_reader_that_leaves_ends_it(here):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.fit
 def test_a_full_disk_does_not_stop_the_estimator(here, capsys):
     write_recording(30_000)
     assert run("--source", "file:rec.csv", "--publish", "csv:///dev/full", "--publish", "csv:good.csv") == 0

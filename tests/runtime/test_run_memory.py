@@ -55,6 +55,7 @@ def crossings(values, limit, hysteresis):
     return found
 
 
+@pytest.mark.fit
 def test_alarms_are_events_of_every_publisher_that_has_a_word_for_them(here):
     assert main(["infer", "rec.csv", "--sensor", "s.onnx", "-o", "all.csv"]) == 0
     speed = np.array([float(row["speed_rad_s"]) for row in read("all.csv")])
@@ -111,6 +112,7 @@ def test_heat_is_remembered_over_a_restart(here, capsys):
     assert "another sensor's" in json.loads(Path("3.json").read_text())["memory"]["message"]
 
 
+@pytest.mark.fit
 def test_a_disk_that_refuses_costs_the_memory_and_nothing_else(here):
     assert (
         run("--publish", "csv:rows.csv", "--memory", "absent/heat.json", "--rate", "0", "--json", "r.json")

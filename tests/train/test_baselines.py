@@ -21,6 +21,8 @@ from motorlens_train.baselines.method import low_pass, truth
 from motorlens_train.bound import Noise, Prior, bound_of_recording
 from motorlens_train.evaluation.scores import counted
 
+pytestmark = pytest.mark.fit
+
 
 @pytest.fixture(scope="module")
 def duty():
@@ -67,7 +69,6 @@ def test_steady_state_voltage_is_exact_for_a_cold_motor_at_rest_with_its_load_an
     assert error[-1] == pytest.approx(8.44, abs=0.15)
 
 
-@pytest.mark.fit
 def test_the_thermal_observer_is_exact_for_an_exact_motor_from_ambient_and_never_finds_an_unknown_start():
     cold = perform(MELLAH, chosen_scenario("direct_on_line", 1200.0, 100.0), np.random.default_rng(0))
     method = ThermalObserver(motor=MELLAH.motor)
@@ -84,7 +85,6 @@ def test_the_thermal_observer_is_exact_for_an_exact_motor_from_ambient_and_never
     assert -13 < method.estimate(hot).temperature[-1] - rise < -5
 
 
-@pytest.mark.fit
 def test_the_extended_kalman_filter_reaches_the_bound_when_the_load_is_constant():
     # Nothing jumps: the filter's assumptions hold, so its errors and its deviations must be those of the bound.
     file = MELLAH
@@ -107,7 +107,6 @@ def test_the_extended_kalman_filter_reaches_the_bound_when_the_load_is_constant(
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.8
 
 
-@pytest.mark.fit
 def test_the_extended_kalman_filter_on_duty_cycles(kalman, duty):
     errors = np.sqrt(np.mean([rms(kalman, recording) ** 2 for recording in duty], axis=0))
     assert 0.05 < errors[0] < 1.5
@@ -128,7 +127,6 @@ def test_the_extended_kalman_filter_does_not_mind_irregular_steps(kalman):
     assert np.all(np.isfinite(part.sds)) and np.all(part.sds > 0)
 
 
-@pytest.mark.fit
 def test_a_later_ladder(duty, kalman):
     # What decades of papers found, on one cycle: a filter with a disturbance beats a static equation beats nothing.
     static = SteadyStateVoltage().fit(duty[:2], MELLAH)

@@ -10,6 +10,8 @@ from motorlens_physics.motor import Motor
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_train.bound import Bound, Noise, Prior, bound, riccati, transition
 
+pytestmark = pytest.mark.fit
+
 MOTOR = Motor()
 # The table was calculated at 2 kHz with 0.5 V and 0.05 A a sample; at 100 Hz the same information needs less noise.
 PERIOD_S = 0.01
@@ -149,7 +151,6 @@ def test_an_inrush_from_rest_shows_the_temperature_in_a_fifth_of_a_second():
     assert biased[1000] == pytest.approx(0.14, rel=0.4)
 
 
-@pytest.mark.fit
 def test_a_locked_rotor_is_the_best_thermometer_and_a_dead_one_none():
     locked = _from_rest(20.0, 1000.0, 600.0, PERIOD_S, Noise(load_walk=0.02, thermal_walk=0.1)).sd("theta")
     assert locked[-1] == pytest.approx(0.14, rel=0.2)

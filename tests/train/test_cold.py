@@ -11,6 +11,8 @@ from motorlens_train.observer.design import ObserverSettings, observer
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.program import Recorder
 
+pytestmark = pytest.mark.fit
+
 SETTINGS = ObserverSettings(voltage_sd=0.48, current_sd=0.0509)
 LAYOUT = Layout(MELLAH, SETTINGS)
 
@@ -90,7 +92,6 @@ def test_a_current_at_the_first_sample_is_a_motor_that_ran(watching, volts, bega
     assert (abs(temperature - 12.0) < 8.0) == (expected == 12.0) and temperature < 60.0
 
 
-@pytest.mark.fit
 def test_a_cold_motor_is_known_better_than_its_inrushes_tell(watching):
     seen, states = followed(watching, 0.0)
     error, stated = seen["temperature"] - states[:, 2], np.exp(0.5 * seen["log_temperature"])
@@ -99,7 +100,6 @@ def test_a_cold_motor_is_known_better_than_its_inrushes_tell(watching):
     assert 0.15 < stated[later].max() < 5.0
 
 
-@pytest.mark.fit
 @pytest.mark.parametrize("warm_K", [5.0, 60.0])
 def test_a_warm_one_is_told(watching, warm_K):
     seen, states = followed(watching, warm_K)

@@ -27,11 +27,12 @@ from motorlens_train.paper import PAPER_ERROR, paper_run
 from motorlens_train.specification import Rate
 from motorlens_train.trainer import Settings
 
+pytestmark = pytest.mark.fit
+
 MOTOR = read_motor_file(Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml")
 QUIET = Noise(0.0, 0.0)
 
 
-@pytest.mark.fit
 def test_targets_obey_the_motor() -> None:
     """Resistance and temperature of a cycle are one law: R = R_a0 (1 + alpha theta)."""
     recording = duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng(3))
@@ -106,7 +107,6 @@ def test_paper_split_is_a_partition_of_50_25_25() -> None:
     assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(1003))
 
 
-@pytest.mark.fit
 def test_paper_protocol_beats_the_paper() -> None:
     """The paper: < 0.04 rad/s once steady, 110 at the start, < 0.6 K, < 0.004 ohm, 1.6e-4 after 2000 epochs."""
     recipe = Recipe(
@@ -118,7 +118,6 @@ def test_paper_protocol_beats_the_paper() -> None:
     assert 0 < run.table["temperature"]["rmse"] < 0.2 and 0 < run.table["resistance"]["rmse"] < 0.001
 
 
-@pytest.mark.fit
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nearly_exact_data_are_learnt_nearly_exactly(seed: int) -> None:
     """A start from which the evidence settles where the network is all but linear ends above 2e-6."""

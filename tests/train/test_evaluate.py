@@ -139,6 +139,7 @@ def test_the_command_from_files_to_table_json_and_drawings(tmp_path, recording, 
     assert document["methods"]["small"]["speed"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-3)
 
 
+@pytest.mark.fit
 def test_refusals_are_one_line(tmp_path, recording, capsys):
     (tmp_path / "no.onnx").write_bytes(b"not a model")
     write_recording(recording, tmp_path / "duty.csv")

@@ -17,6 +17,8 @@ from motorlens_train.evaluation.worlds.plant import run
 from motorlens_train.evaluation.worlds.table import cells, text
 from motorlens_train.evaluation.worlds.world import FACTORS, at, drawn, record
 
+pytestmark = pytest.mark.fit
+
 SHIPPED = Path(__file__).resolve().parents[2] / "models" / "sensors" / "mellah2016_observer.onnx"
 
 
@@ -39,7 +41,6 @@ def wheel():
     return replace(MELLAH.with_values(values), rated=plate)
 
 
-@pytest.mark.fit
 @pytest.mark.parametrize("held", [True, False])
 @pytest.mark.parametrize("file", [MELLAH, wheel()], ids=["mellah2016", "wheel"])
 def test_the_plant_is_the_motor_of_the_file(file, held):
@@ -97,7 +98,6 @@ def test_the_table_counts_what_verdicts_say():
     assert len(text(table).splitlines()) == len(table) + 1
 
 
-@pytest.mark.fit
 def test_evaluate_prints_the_table_and_writes_it(tmp_path, capsys):
     words = ["evaluate", str(SHIPPED), "--motor", "mellah2016", "--worlds", "2", "--seed", "5"]
     assert main([*words, "--json", str(tmp_path / "w.json")]) == 0
@@ -119,7 +119,6 @@ def test_what_cannot_be_judged_in_worlds_is_said_in_one_line(capsys):
         assert said in error and error.count("\n") == 1
 
 
-@pytest.mark.fit
 def test_a_motor_file_alone_gives_its_observer_and_a_card_with_worlds(tmp_path, capsys):
     write_motor_file(wheel(), tmp_path / "wheel.toml")
     out = tmp_path / "wheel.onnx"

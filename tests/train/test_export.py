@@ -71,6 +71,7 @@ def test_core_graph_equals_torch_to_1e_10_of_scale_on_10000_samples(built: Built
     assert np.abs(estimate / scale).max() > 0.1
 
 
+@pytest.mark.fit
 def test_step_graph_is_the_bank_and_the_core_graph(built: Built) -> None:
     sensor = built.sensor
     time, voltage, current = samples(300, 5)

@@ -41,6 +41,7 @@ def test_noise_floor_is_reached_from_rotating_parts_of_data_beyond_memory(tmp_pa
     assert (trained.targets.deviation**2 / trained.hyper.beta).numpy() == pytest.approx([0.01, 0.01], rel=0.1)
 
 
+@pytest.mark.fit
 def test_a_seed_decides_everything() -> None:
     data = task(600)
     assert same(train(data, CASCADE, 5, SMALL), train(data, CASCADE, 5, SMALL))

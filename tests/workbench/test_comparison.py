@@ -27,6 +27,8 @@ from motorlens_workbench.report.page import Page, Section
 from motorlens_workbench.report.pictures import Axes, Line, packed, time_plots
 from motorlens_workbench.report.thinning import thinned
 
+pytestmark = pytest.mark.fit
+
 PAPER = read_motor_file(Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml")
 # A 24 V servo motor: none of these figures is a default anywhere.
 VALUES = {
@@ -104,7 +106,6 @@ def test_lowpass_is_that_of_scipy() -> None:
     np.testing.assert_allclose(lowpass(y, time, 0.7), run.y[0], atol=1e-6)
 
 
-@pytest.mark.fit
 def test_a_model_that_is_right_is_at_the_noise() -> None:
     found = compare(SERVO, [bench(nothing, nothing, nothing)])
     for name, sd in NOISE.items():
@@ -117,7 +118,6 @@ def test_a_model_that_is_right_is_at_the_noise() -> None:
     assert all(0.8 < region.rms_in_sigma < 1.3 for region in found.regions.values())
 
 
-@pytest.mark.fit
 @pytest.mark.parametrize("equation", sorted(MISSING))
 def test_the_failing_equation_gets_the_blame(equation: str) -> None:
     found = compare(SERVO, [bench(*MISSING[equation])])
@@ -128,7 +128,6 @@ def test_the_failing_equation_gets_the_blame(equation: str) -> None:
     assert shares[equation] > 0.8
 
 
-@pytest.mark.fit
 def test_what_an_equation_lacks_is_the_missing_term() -> None:
     found = compare(SERVO, [bench(*MISSING["mechanical"])])
     (overlay,) = found.overlays
@@ -167,7 +166,6 @@ def test_absent_channels_are_said_in_words() -> None:
         compare(SERVO, [inputs_only])
 
 
-@pytest.mark.fit
 def test_several_recordings_are_pooled() -> None:
     one, other = bench(*MISSING["mechanical"], seed=1), bench(*MISSING["mechanical"], seed=2)
     together = compare(SERVO, [one, other]).channels["speed"].rmse
@@ -232,7 +230,6 @@ def test_uneven_stamps_are_kept_one_by_one() -> None:
     assert plot.spec["time"] == {"data": "time_s"} and plot.data["time_s"] is stamps
 
 
-@pytest.mark.fit
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_motor_file(SERVO, tmp_path / "servo.toml")
     write_recording(bench(*MISSING["mechanical"]), tmp_path / "bench.csv")

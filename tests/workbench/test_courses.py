@@ -23,6 +23,7 @@ def trajectory():
     return simulate(file.motor.with_effect(coulomb), inputs, {"theta": 30.0}, smooth=True)
 
 
+@pytest.mark.fit
 def test_a_unit_of_each_parameter_adds_what_the_textbook_says(trajectory):
     motor, i, w, theta = trajectory.motor, trajectory.current_A, trajectory.speed_rad_s, trajectory.rise_K
     warm = 1 + motor.alpha * theta

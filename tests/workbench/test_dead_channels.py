@@ -13,6 +13,8 @@ from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.hypotheses.dead_channels import dead_channels, without
 
+pytestmark = pytest.mark.fit
+
 MELLAH = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "hidden_effect" / "regbot.toml"
 ROBOTS = (1, 3, 4, 5, 10)
@@ -43,7 +45,6 @@ def test_of_the_robots_only_the_broken_current_sensor_is_dead(side: str) -> None
         assert abs(gain) < 0.2
 
 
-@pytest.mark.fit
 @pytest.mark.parametrize("channel", ["current", "speed"])
 @pytest.mark.parametrize(("gain", "faulty"), [(-1.0, True), (0.05, True), (0.6, False), (1.5, False)])
 def test_a_sensor_with_its_wires_swapped_is_found(channel: str, gain: float, faulty: bool) -> None:

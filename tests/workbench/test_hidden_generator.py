@@ -10,6 +10,8 @@ from helpers.hidden import draw, generate, generate_again, information, motors, 
 from helpers.hidden import effects as hidden_effects
 from scipy.integrate import solve_ivp
 
+pytestmark = pytest.mark.fit
+
 MOTOR = motors.MOTORS["servo_24V"]
 # One of everything that is smooth while the rotor turns one way.
 SMOOTH = {
@@ -32,7 +34,6 @@ def _inputs(n: int) -> np.ndarray:
     ])  # fmt: skip
 
 
-@pytest.mark.fit
 @pytest.mark.parametrize(
     "hidden",
     [
@@ -68,7 +69,6 @@ def test_agrees_with_lsoda(hidden: dict[str, float]) -> None:
     assert worst.max() < tolerance, worst
 
 
-@pytest.mark.fit
 def test_order_of_convergence_is_three() -> None:
     p = plant.vector(**MOTOR.textbook, drag=3e-7, reaction=5e-4)
     x0 = plant.rest()
@@ -171,7 +171,6 @@ def test_autoregression_whitens_a_coloured_noise() -> None:
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.02
 
 
-@pytest.mark.fit
 def test_twins_are_recognised_as_twins_and_strangers_are_not() -> None:
     case = world.Case("x", 11, "servo_24V", "single", records="both", small=True)
     known = information.Information(case)
@@ -185,7 +184,6 @@ def test_twins_are_recognised_as_twins_and_strangers_are_not() -> None:
     assert judged.group() == [] and judged.energy > 100
 
 
-@pytest.mark.fit
 def test_detectable_size_grows_with_the_noise() -> None:
     sizes = []
     for noise in (0.01, 0.03):
@@ -199,7 +197,6 @@ def test_detectable_size_grows_with_the_noise() -> None:
 KEY = Path(__file__).resolve().parents[2] / "benchmarks" / "hidden_effects" / "subset-key.jsonl"
 
 
-@pytest.mark.fit
 @pytest.mark.parametrize(
     "name", ["subset-0024", "subset-0030", "subset-0031", "subset-0037", "subset-0038", "subset-0047"]
 )

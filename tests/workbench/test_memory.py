@@ -35,6 +35,7 @@ def test_resonators_answer_as_scipy_does_also_to_uneven_samples():
             assert np.abs(np.interp(time, fine, expected) - found[:, 2 * k + j]).max() < 2e-5
 
 
+@pytest.mark.fit
 def test_the_amplitude_is_that_of_the_response_of_the_resonators():
     """A sine at one of the frequencies through fitted resonators swings as far as is said, and 0 coefficients say 0."""
     term = Memory("torque", np.array([2.0, 4.0, 8.0]))

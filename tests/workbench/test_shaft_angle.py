@@ -61,6 +61,7 @@ def test_torques_at_rest_do_not_pass_for_what_goes_with_the_angle(unbalance_Nm, 
         assert seen is None or here.null.excess(seen.weight) < 5
 
 
+@pytest.mark.fit
 def test_what_goes_with_the_angle_shows_nothing_at_rest():
     """The column of an effect of the angle along a run that stands half of the time, beside its forcing in full."""
     file = read_motor_file(MOTOR)

@@ -14,8 +14,13 @@ _TIMES, _LONGEST, _FAR = 3, 10, 5.0
 _EXPLAINED, _SURE = 0.5, 5.0
 # A winding is no colder, and its insulation no longer one.
 COLDEST_C, HOTTEST_C = -100.0, 400.0
-# So many rows show a sign.
+# So many rows show a sign, or a time constant.
 _ROWS = 50_000
+# Time constants with which the speed of a motor follows its voltage, s: a coreless one of a few grams takes 1 ms or more,
+# one of kilowatts with its load a second or two. Milliseconds for seconds are a factor of a thousand.
+_FASTEST_S, _SLOWEST_S = 3e-4, 10.0
+# So much of the speed must follow from the voltage where that is judged.
+_FOLLOWS = 0.8
 
 
 def no_value(y: Array, voltage: Array | None) -> float | None:
@@ -88,7 +93,49 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                 notes.append(
                     f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
                 )
-    return notes + signs(channels)
+    return notes + signs(channels) + pace(time, channels)
+
+
+def pace(time: Array, channels: Mapping[str, Array]) -> list[str]:
+    """Whether the stamps are in the unit they are said to be in: how fast the speed follows the voltage tells.
+
+    The balance of torques is integrated, so that no noise is differentiated:
+    w = a int(v) - int(w) / tau - c int(sign w) + d t + e.
+    """
+    if not {"voltage", "speed"} <= set(channels):
+        return []
+    v, w = channels["voltage"], np.nan_to_num(channels["speed"])
+    held = np.diff(time, prepend=time[0])
+    # Of a rotor that turns one way only, friction is part of d.
+    both = [np.sign(w)] if w.min() < 0 < w.max() else []
+    integrals = [np.cumsum(held * y) for y in (v, w, *both)]
+    rows = slice(None, None, 1 + len(w) // _ROWS)
+    columns = np.column_stack([y[rows] for y in (*integrals, time - time[0], np.ones(len(w)))])
+    y = w[rows]
+    size = np.abs(columns).max(axis=0)
+    if len(y) < 20 or not np.ptp(y) or not size.all():
+        return []
+    columns /= size
+    slopes, _, rank, _ = np.linalg.lstsq(columns, y, rcond=1e-10)
+    rest = y - columns @ slopes
+    if rank < columns.shape[1] or rest @ rest > (1 - _FOLLOWS) * np.sum((y - y.mean()) ** 2):
+        return []
+    # Residuals hang together; a tenth of the samples count.
+    sd = np.sqrt(10 * (rest @ rest) / len(y) * np.diag(np.linalg.pinv(columns.T @ columns)))
+    if slopes[0] < _SURE * sd[0]:
+        return []
+    rate, sure = -slopes[1] / size[1], 3 * sd[1] / size[1]
+    if 0 < rate and rate + sure < 1 / _SLOWEST_S:
+        return [
+            f"as stamped, the speed follows the voltage in {1 / (rate + sure):.2g} s or more, as only a flywheel does: are "
+            "the stamps in ms or us? --column time_ms=NAME"
+        ]
+    if rate - sure > 1 / _FASTEST_S:
+        return [
+            f"as stamped, the speed follows the voltage in {1 / (rate - sure):.2g} s or less, as no motor does: are the "
+            "stamps in s? --column time_s=NAME"
+        ]
+    return []
 
 
 def signs(channels: Mapping[str, Array]) -> list[str]:
