@@ -16,10 +16,12 @@ from motorlens_train.evaluation.worlds.drive import Drive
 from motorlens_train.evaluation.worlds.judge import ROWS, Verdict, verdict
 from motorlens_train.evaluation.worlds.table import cells as cells_of
 from motorlens_train.evaluation.worlds.table import text
-from motorlens_train.evaluation.worlds.world import Recorded, World, at, drawn, record
+from motorlens_train.evaluation.worlds.world import Recorded, World, at, drawn, noise, record
 
 DRIVE = Drive.of(MELLAH)
 _BLOCK = 65536
+# Where good quality is asked for: noise of at most so many times the drive's.
+USUAL = 3.0
 
 
 def judged(sensor: Sensor, world: World, recorded: Recorded) -> Verdict:
@@ -73,8 +75,22 @@ def worlds(path: Path, count: int, seed: int, cells: Sequence[str], work: Work) 
     wrong = len(lines)
     print(f"\n## {path.name} in {count} worlds of seed {seed}: confidently wrong in {wrong}")
     print(text(cells_of([found[number] for number in sorted(found)])))
-    print("\n".join([*lines, *failed]), flush=True)
+    print("\n".join([*lines, _usual(list(found.values())), *failed]), flush=True)
     return wrong + len(failed)
+
+
+def _usual(found: Sequence[Verdict]) -> str:
+    """Share of good samples where nothing speaks against it: the file's motor, noise of at most USUAL times the drive's."""
+    usual = [
+        one for one in found if one.world.factors["motor"] == "the file's" and max(noise(one.world)) <= USUAL
+    ]
+    plain = [one for one in usual if one.world.factors["lacks"] == "nothing"]
+    shares = (
+        f"{100 * np.mean([one.good for one in part]):.1f} %" if part else "none" for part in (usual, plain)
+    )
+    return "  the file's motor, noise at most {:g} times: good {}; of those that lack nothing {}".format(
+        USUAL, *shares
+    )
 
 
 def _line(number: int, one: Verdict) -> str:

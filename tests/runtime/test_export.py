@@ -128,7 +128,8 @@ def test_what_a_core_needs(proven):
     """Budgets, counted by the emulator, so the same on every machine: with an observer 19 kB and 4 kB; filters and network
     alone 10.6 kB and 2 kB, and a core without floating-point unit at most six times the instructions of one that has it.
 
-    Weighing whether the motor is the file's (`observer/belief.py`) is 1 kB of the 19, and runs where a value is asked for.
+    Weighing whether the motor is the file's (`observer/belief.py`) is 2 kB of the 19, and runs where a value is asked for:
+    inertia and inductance together, and with how the voltage runs between samples, is 15 000 instructions of the 95 000.
     """
     name, _, said = proven
     observed = name.endswith("observer")
@@ -139,7 +140,7 @@ def test_what_a_core_needs(proven):
     cost = said["cortex-m4f"][1]
     assert cost.flash <= (19 * 1024 if observed else 10_600)
     assert cost.update <= (32_000 if observed else 2_000)
-    assert cost.evaluate <= (90_000 if observed else 12_000)
+    assert cost.evaluate <= (95_000 if observed else 12_000)
     assert observed or said["cortex-m3"][1].evaluate <= 6 * cost.evaluate
 
 

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.duty import MELLAH
-from scipy.stats import norm
+from scipy.stats import multivariate_normal
 
 from motorlens_physics.effect import catalogue
 from motorlens_train.observer import belief
-from motorlens_train.observer.layout import Layout, ObserverSettings
+from motorlens_train.observer.layout import PAIRS, Layout, ObserverSettings
 from motorlens_train.observer.program import Recorder
 
 LAYOUT = Layout(MELLAH, ObserverSettings(voltage_sd=0.48, current_sd=0.0509))
@@ -20,29 +20,94 @@ def doubted(inertia=(0.0, 0.0), inductance=(0.0, 0.0), drop=(0.0, 0.0), theta=20
     """Log odds against the file's motor and grown sd of speed and temperature, for (estimate, information) of each."""
     r = Recorder()
     given = {"inertia": inertia, "inductance": inductance, "drop": drop}
-    names = [*STILL, *(f"{k}_{n}" for k in given for n in ("score", "information")), "theta"]
+    names = [*STILL, *(f"{k}_{n}" for k in given for n in ("score", "information")), "theta", "nothing"]
     values = dict(zip(names, r.inputs(names), strict=True))
     states = [r.constant(0.0)] * len(LAYOUT.states)
     known = {k: (states, values[f"{k}_information"], values[f"{k}_score"]) for k in given}
     x = [200.0, values["theta"], 0.0]
+    nothing = values["nothing"]
+    known["hold"] = (states, nothing, nothing)
     against, grown = belief.doubt(
-        LAYOUT, known, values, [r.constant(200.0), x[1], r.constant(0.0)], r.constant(3.5)
-    )
+        LAYOUT, known, dict.fromkeys(PAIRS, nothing), nothing, values, [r.constant(200.0), x[1], r.constant(0.0)],
+        r.constant(3.5),
+    )  # fmt: skip
     program = r.program([against, grown["w"], grown["theta"]])
-    numbers = [*STILL.values(), *(v for b, i in given.values() for v in (b * i, i)), theta]
+    numbers = [*STILL.values(), *(v for b, i in given.values() for v in (b * i, i)), theta, 0.0]
     log_odds, *variances = (float(v) for v in program(*numbers))
     return SimpleNamespace(
         odds=np.exp(log_odds), speed=np.sqrt(variances[0]), temperature=np.sqrt(variances[1])
     )
 
 
-@pytest.mark.parametrize(("b", "sd"), [(0.0, 0.001), (0.004, 0.001), (0.05, 0.02), (-0.2, 0.1)])
-def test_the_weight_is_the_ratio_of_two_normal_densities(b, sd):
+def told(slopes, errors):
+    """Score and information of discrepancies with `slopes` (N, k) from `errors` (N,) of unit variance."""
+    return slopes.T @ errors, slopes.T @ slopes
+
+
+def recorded(of, shown):
+    """What `of` says of a recorded `Shown`: score (2,), information (2, 2)."""
     r = Recorder()
-    program = r.program([belief.weight(*r.inputs(["score", "information"]), 0.002**2, 0.13**2)])
-    found = float(program(b / sd**2, 1 / sd**2)[0])
-    far, near = (norm.logpdf(b, scale=np.hypot(sd, spread)) for spread in (0.13, 0.002))
+    s, t, a, d, c = r.inputs(["s", "t", "a", "d", "c"])
+    (score, information) = shown
+    program = r.program([of(belief.Shown((s, t), (a, d), c))])
+    return float(program(*score, information[0, 0], information[1, 1], information[0, 1])[0])
+
+
+@pytest.mark.parametrize("b", [(0.0, 0.0), (0.004, -0.01), (0.05, 0.03)])
+def test_the_weight_is_the_ratio_of_two_normal_densities(b):
+    rng, slack, spread = np.random.default_rng(5), (0.002**2, 0.005**2), (0.13**2, 0.06**2)
+    slopes = rng.standard_normal((6, 2)) * (30.0, 20.0) + 25.0
+    errors = slopes @ b + rng.standard_normal(6)
+    far, near = (
+        multivariate_normal.logpdf(errors, cov=np.eye(6) + slopes @ np.diag(wide) @ slopes.T)
+        for wide in (spread, slack)
+    )
+    found = recorded(lambda shown: shown.weight(slack, spread), told(slopes, errors))
     assert found == pytest.approx(far - near, rel=1e-9)
+
+
+def test_what_remains_of_two_discrepancies_is_their_posterior_at_a_ninth_of_the_windows():
+    rng, spread, moves = np.random.default_rng(6), (0.13**2, 0.06**2), np.array([40.0, -25.0])
+    slopes = rng.standard_normal((9, 2)) * 20.0 + 15.0
+    score, information = told(slopes, slopes @ (0.02, -0.01))
+    found = recorded(lambda shown: shown.remaining(spread, tuple(moves)), (score, information))
+    C = np.linalg.inv(information / 9 + np.linalg.inv(np.diag(spread)))
+    assert found == pytest.approx(3 * (moves @ C @ moves + (moves @ C @ score / 9) ** 2), rel=1e-9)
+
+
+@pytest.mark.parametrize("hold", [-0.5, 0.5])
+def test_another_motor_that_passes_for_another_hold_is_weighed_as_if_the_hold_had_been_sought_with_it(hold):
+    """Against the joint density over how the voltage runs, good to a tenth of a step, inertia and inductance."""
+    rng, spread = np.random.default_rng(7), np.array([0.13**2, 0.06**2])
+    # The inertia does nearly what the hold does.
+    along = rng.standard_normal(40)
+    slopes = np.column_stack(
+        [90.0 * along, 700.0 * along + 20 * rng.standard_normal(40), rng.standard_normal(40)]
+    )
+    errors = slopes @ (hold, 0.05, 0.03) + rng.standard_normal(40)
+    # As the filter finds the hold: for the file's motor.
+    found = slopes[:, 0] @ errors / (slopes[:, 0] @ slopes[:, 0])
+    score, information = told(slopes, errors - found * slopes[:, 0])
+    r = Recorder()
+    pairs = dict(
+        zip(PAIRS, (information[0, 0], information[0, 1], information[0, 2], information[1, 2]), strict=True)
+    )
+    names = ["s", "t", "a", "d", "hold_found", "told", *PAIRS]
+    values = dict(zip(names, r.inputs(names), strict=True))
+    shown = belief.Shown((values["s"], values["t"]), (values["a"], values["d"]), values["motor"])
+    freed = belief.unmasked(shown, values, values["hold_found"], values["told"])
+    program = r.program([freed.weight((0.0, 0.0), tuple(spread))])
+    mine = float(
+        program(*score[1:], information[1, 1], information[2, 2], found, information[0, 0], *pairs.values())[
+            0
+        ]
+    )
+    about = errors - np.sign(found) * 0.5 * slopes[:, 0]
+    near = np.eye(40) + 0.1**2 * np.outer(slopes[:, 0], slopes[:, 0])
+    far = near + slopes[:, 1:] @ np.diag(spread) @ slopes[:, 1:].T
+    true = multivariate_normal.logpdf(about, cov=far) - multivariate_normal.logpdf(about, cov=near)
+    assert mine == pytest.approx(true, abs=0.05)
+    assert true > 5.0  # it is another motor
 
 
 @pytest.mark.parametrize("prior", [0.125, 0.5])
@@ -96,12 +161,6 @@ def test_from_what_size_on_a_discrepancy_that_is_known_well_is_another_motor(nam
     information = {"inertia": 1e9, "inductance": 1e9, "drop": 1e6}[name]
     assert doubted(**{name: (accepted, information)}).odds < 1.0
     assert doubted(**{name: (refused, information)}).odds > 1.0
-
-
-def test_what_remains_of_a_discrepancy_counts_nine_windows_as_one():
-    r = Recorder()
-    program = r.program([belief.remaining(*r.inputs(["score", "information"]), 1e6)])
-    assert float(program(0.0, 900.0)[0]) == pytest.approx(3 / 100, rel=1e-4)
 
 
 def test_a_drop_that_is_shown_not_to_be_there_widens_by_what_may_remain_of_it():

@@ -29,7 +29,7 @@ def correct(layout: Layout) -> Program:
     ambient = r.input("ambient")
     window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
     memory = dict(zip(MEMORY, r.inputs(MEMORY), strict=True))
-    known = layout.sensitivities(r)
+    known, common = layout.sensitivities(r), layout.common(r)
     track = track_of(layout, r)
     branches = layout.unpack(r)
     # Over a gap nobody knows what was done to the motor.
@@ -68,7 +68,7 @@ def correct(layout: Layout) -> Program:
         one.changes,
         share,
     )
-    kept, hold, shift = told(layout, known, window, memory, found, filtered, believed)
+    kept, hold, shift = told(layout, known, common, window, memory, found, filtered, believed)
     new = [([x + d for x, d in zip(s.x, shift, strict=True)], s.P) for s in (still, changing)]
     surprise = both(still.surprise, changing.surprise) * believed
     drift = memory["drift"] + believed * LAG * (filtered.error - memory["drift"])

@@ -16,18 +16,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from motorlens_train.observer.algebra import dot
-from motorlens_train.observer.layout import DISCREPANCIES, Layout
+from motorlens_train.observer.belief import HOLD_KNOWN, STAMPED
+from motorlens_train.observer.layout import DISCREPANCIES, PAIRS, Layout
 from motorlens_train.observer.program import Value
 from motorlens_train.observer.signals import WINDOWS, Signals, beyond
 
-# Held or linear, nobody knows: 0.5 with a deviation of 0.5, whose square's reciprocal is this information.
-HOLD_KNOWN = 4.0
 # What a discrepancy shows by must be beyond so many deviations of noise: its product with an innovation holds the noise's
 # square, which would add up. The currents' share of the noise is known to a factor of two only.
 CLEAR = 10.0
-# What is left of the variance of a window in which the voltage changed, once it is known how it runs between samples: its
-# stamps are good to a tenth of a step, not to half of one.
-STAMPED = (0.1 / 0.5) ** 2
+# What is left of the variance of a window in which the voltage changed, once it is known how it runs between samples.
+LEFT = STAMPED * HOLD_KNOWN
 # A change that tells how the voltage runs is worth so many deviations of what else a window may be off by.
 PLAIN = 3.0
 # The innovations' excess from which on the noise is taken to have changed: they are twice as large (squared) as stated.
@@ -60,8 +58,8 @@ class Window:
 
 
 def told(
-    layout: Layout, known: Mapping[str, Any], window: Mapping[str, Value], memory: Mapping[str, Value], found: Signals,
-    filtered: Window, believed: Any,
+    layout: Layout, known: Mapping[str, Any], common: Mapping[str, Any], window: Mapping[str, Value],
+    memory: Mapping[str, Value], found: Signals, filtered: Window, believed: Any,
 ) -> tuple[list[Any], Any, list[Any]]:  # fmt: skip
     """After a window: what is kept of all discrepancies, the new `hold`, and by how much the states move with it."""
     w, T, n = layout.at["w"], window["time"], len(layout.states)
@@ -82,6 +80,9 @@ def told(
     # While the noise is being found, or has just changed, nothing stands above it for certain.
     settled = (WINDOWS <= memory["count"]) * (memory["restless"] <= RESTLESS)
     kept: list[Any] = []
+    slopes: dict[str, Any] = {}
+    moves: Any = 0.0
+    stays = 1.0 - (T * (1 / FADE_S)).min(1.0) * believed
     hold, shift = window["hold"], [0.0] * n
     for name in DISCREPANCIES:
         V, information, score = known[name]
@@ -101,17 +102,23 @@ def told(
         # While the load is whatever holds the rotor, or is changing, an innovation tells of the load.
         g = g * (1.0 - filtered.near) * (1.0 - filtered.changing)
         g = g * firm if name == "drop" else g
+        slopes[name] = g
         if name == "hold":
             # Only a change of the voltage that stands above all that a window may be off by tells how it ran.
-            S_known = S - filtered.changes * (1.0 - STAMPED)
+            S_known = S - filtered.changes * (1.0 - LEFT)
             g = g * settled * (S_known * PLAIN**2 <= found.lean * found.lean)
             information = information + g * g / S_known
             step = g * filtered.error / S_known / (information + HOLD_KNOWN)
             held = (hold + step).max(-0.5).min(0.5)
-            hold, shift = held, [v * (held - hold) for v in V]
+            moves = held - hold
+            hold, shift = held, [v * moves for v in V]
         else:
             information = information + g * g / S
-            stays = 1.0 - (T * (1 / FADE_S)).min(1.0) * believed
+            # Had the voltage been taken to run as it is now known to, the innovations would have been others.
+            score = score - common[name] * moves if name in PAIRS else score
             information, score = information * stays, (score + g * filtered.error / S) * stays
         kept += [*V, information, score]
+    for name, shared in common.items():
+        one, other = PAIRS[name]
+        kept.append((shared + slopes[one] * slopes[other] / S) * stays)
     return kept, hold, shift

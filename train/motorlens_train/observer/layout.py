@@ -19,6 +19,12 @@ TRACK = 3
 # What the sensors and the motor may have that the file does not know, each one number with its sensitivities (see
 # `discrepancies`): how the voltage runs between samples, an inertia, an inductance and a voltage drop other than the file's.
 DISCREPANCIES = ("hold", "inertia", "inductance", "drop")
+# Which of them may look alike: at one frequency a little of one cancels a little of another. By the name under which what
+# they have in common is kept.
+PAIRS = {
+    "hold": ("hold", "hold"), "inertia": ("hold", "inertia"), "inductance": ("hold", "inductance"),
+    "motor": ("inertia", "inductance"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -115,6 +121,7 @@ class Layout:
             len(WINDOW)
             + len(MEMORY)
             + len(DISCREPANCIES) * (n + 2)
+            + len(PAIRS)
             + len(self.slow)
             + TRACK
             + len(BRANCHES) * (n + len(self.pairs))
@@ -127,6 +134,10 @@ class Layout:
             values = r.inputs([f"{name}_{k}" for k in range(len(self.states) + 2)])
             found[name] = (values[:-2], values[-2], values[-1])
         return found
+
+    def common(self, r: Recorder) -> dict[str, Any]:
+        """Information that each of `PAIRS` shares, from the stored state."""
+        return {name: r.input(f"common_{name}") for name in PAIRS}
 
     def unpack(self, r: Recorder) -> list[Branch]:
         """States and covariance of each branch, from the stored state."""

@@ -3,9 +3,8 @@
 from typing import Any
 
 from motorlens_train.observer.algebra import dot, mixed, probability
-from motorlens_train.observer.belief import doubt
+from motorlens_train.observer.belief import HOLD_KNOWN, doubt
 from motorlens_train.observer.cold import track_of, weighed
-from motorlens_train.observer.discrepancies import HOLD_KNOWN
 from motorlens_train.observer.file import MEMORY, WINDOW
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.program import Program, Recorder
@@ -21,7 +20,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     window = dict(zip(WINDOW, r.inputs(WINDOW), strict=True))
     memory = dict(zip(MEMORY, r.inputs(MEMORY), strict=True))
     restless = memory["restless"]
-    known = layout.sensitivities(r)
+    known, common = layout.sensitivities(r), layout.common(r)
     track = track_of(layout, r)
     changing = probability(memory["odds"])
     x, P = mixed(changing, layout.unpack(r))
@@ -45,7 +44,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     behind = (mean - memory["slope"]) * (layout.per_kelvin(x) / layout.motor.ke)
     variances["speed"] = variances["speed"] + behind * behind * P[theta][theta]
     variances["speed"] = variances["speed"] + memory["unseen"] * (9.0 / layout.motor.ke**2)
-    against, grown = doubt(layout, known, memory, x, outputs["resistance"])
+    against, grown = doubt(layout, known, common, window["hold"], memory, x, outputs["resistance"])
     ohms = layout.per_kelvin(x)
     for name, growth in (
         ("speed", grown["w"]), ("temperature", grown["theta"]), ("resistance", ohms * ohms * grown["theta"])

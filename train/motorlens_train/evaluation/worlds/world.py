@@ -135,9 +135,8 @@ def _measured(
     rate: float,
 ) -> Recorded:
     rng = world.rng(4)
-    low, high = map(float, world.factors["noise"].split("-"))
-    factor = np.exp(rng.uniform(np.log(low), np.log(high)))
-    sds = (factor * drive.noise_V, factor * np.exp(rng.uniform(-np.log(2), np.log(2))) * drive.noise_A)
+    noise_V, noise_A = _noise(world, rng)
+    sds = noise_V * drive.noise_V, noise_A * drive.noise_A
     ripple = 0.0004 * drive.scale_A if world.factors["excitation"] == "dither" else 0.0
     channels = []
     for true, sd, scale, more in (
@@ -164,6 +163,17 @@ def _measured(
     return Recorded(
         time, seen_V, seen_A, ambient, truth, time >= begun + 10.0, *sds, load, motor, drive.sizes
     )  # fmt: skip
+
+
+def noise(world: World) -> tuple[float, float]:
+    """Noise of voltage and current, in multiples of the drive's."""
+    return _noise(world, world.rng(4))
+
+
+def _noise(world: World, rng: np.random.Generator) -> tuple[float, float]:
+    low, high = map(float, world.factors["noise"].split("-"))
+    voltage = np.exp(rng.uniform(np.log(low), np.log(high)))
+    return float(voltage), float(voltage * np.exp(rng.uniform(-np.log(2), np.log(2))))
 
 
 def _lagged(white: Array, keep: float) -> Array:
