@@ -26,7 +26,10 @@ from motorlens_workbench.verdict import settle
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}
-# For what is asked of the commands: a tenth of the samples.
+SAMPLES = 4000
+# The same information in fewer samples: noise of ten thousand, less by the root of how many there are.
+NOISE = {channel: sd * (SAMPLES / 10_000) ** 0.5 for channel, sd in NOISE.items()}
+# For what is asked of the commands: a quarter of the samples.
 SHORT = {"duration_s": 10.0, "period_s": 0.01}
 
 
@@ -40,7 +43,7 @@ def recorded(
     effects: dict[str, float] | None = None,
     faults: dict[str, float] | None = None,
     duration_s: float = 30.0,
-    period_s: float = 0.003,
+    period_s: float = 30.0 / SAMPLES,
 ) -> Recording:
     file = read_motor_file(MOTOR)
     known, sensors = catalogue(), sensor_catalogue()
@@ -135,7 +138,7 @@ def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
     file = read_motor_file(MOTOR)
     file = replace(file, motor=file.motor.with_effect(FrictionBump(A=1.0)))
     rng = np.random.default_rng(7)
-    truth = perform(file, scenarios()["slow_ramp"](), rng)
+    truth = perform(file, scenarios()["slow_ramp"](period_s=0.01), rng)
     _, document = diagnosed(rough, measure(truth, (), NOISE, rng))
     assert document["verdict"] == "unknown"
     assert document["chosen"] == []

@@ -221,11 +221,17 @@ def size_text(entry: Mapping[str, Any]) -> str:
         return "not seen"
     if entry["probability"] == 0.0 and entry["p"] > 0.01:
         return "not seen"
-    return f"{size['value']:.3g} +- {size['sd']:.2g} {size['unit']}"
+    return f"{size['value']:.3g} +- {size['sd']:.2g} {_unit(size)}".rstrip()
 
 
 def least_text(entry: Mapping[str, Any]) -> str:
     """The smallest size that would have been seen, with its unit."""
     size = next(iter(entry["parameters"].values()), {"unit": ""})
     least = entry["minimum_detectable"]
-    return "no size" if least is None else f"{least:.3g} {size['unit']}"
+    return "no size" if least is None else f"{least:.3g} {_unit(size)}".rstrip()
+
+
+def _unit(size: Mapping[str, Any]) -> str:
+    """As a table has it: a pure number has none."""
+    unit = str(size["unit"])
+    return "" if unit == "1" else unit

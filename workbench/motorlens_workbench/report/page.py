@@ -21,6 +21,8 @@ SCRIPTS = (
     ("motorlens_workbench.report", "curves.js"),
     ("motorlens_workbench.report", "plots.js"),
 )
+# Paragraphs above the pictures.
+SHOWN = 3
 STYLES = (("motorlens_runtime.web.uplot", "uPlot.min.css"), ("motorlens_workbench.report", "report.css"))
 
 
@@ -39,7 +41,7 @@ class Page:
     Attributes:
         title: a small line above the verdict.
         verdict: the one sentence that matters.
-        summary: what follows from it, a paragraph each.
+        summary: what follows from it, a paragraph each, the first `SHOWN` in sight.
         sections: pictures and numbers.
         commands: what to type to get this page again.
         budget_octets: what the samples of its plots may take, see `thinning`.
@@ -59,7 +61,7 @@ class Page:
         yield from (asset(*name).decode() for name in STYLES)
         yield f'</style></head>\n<body><main class="report"><h1>{_text(self.title)}</h1>\n'
         yield f'<p class="verdict">{_text(self.verdict)}</p>\n'
-        yield from (f"<p>{_text(paragraph)}</p>\n" for paragraph in self.summary)
+        yield from _paragraphs(self.summary)
         plots = within(
             [item for s in self.sections for item in s.content if isinstance(item, Plot)], self.budget_octets
         )
@@ -80,6 +82,17 @@ class Page:
         yield from _data(plots)
         yield from (f"<script>{asset(*name).decode()}</script>\n" for name in SCRIPTS)
         yield '<script>new Scene(document.querySelector("main"), document);</script></body></html>\n'
+
+
+def _paragraphs(summary: Sequence[str]) -> Iterator[str]:
+    """The first few as they are; more would push the pictures off the first screen, and are folded away."""
+    told = [f"<p>{_text(paragraph)}</p>\n" for paragraph in summary]
+    shown = told if len(told) <= SHOWN + 1 else told[:SHOWN]
+    yield from shown
+    if folded := told[len(shown) :]:
+        yield f'<details class="remarks"><summary>{len(folded)} more remarks</summary>\n'
+        yield from folded
+        yield "</details>\n"
 
 
 def _data(plots: Sequence[Plot]) -> Iterator[str]:
