@@ -50,6 +50,7 @@ class CoreEstimator(Estimator):
         self._mismatch = False
         self._few: _Few | None = None
         self._memory = StateMemory()
+        self._bank = self._memory.bank  # once: a look at a structure within one makes an object
         self._address = ctypes.addressof(self._memory)
         backend.library.motorlens_start(backend.address, self._address, round(period_s * 1e9))
         if state is not None:
@@ -91,7 +92,9 @@ class CoreEstimator(Estimator):
             raise DataError(
                 "the sensor needs the ambient temperature: give an ambient column, or --ambient DEGREES_C"
             )
-        n, count = len(samples), self._memory.bank.count
+        n, count = len(samples), self._bank.count
+        if rows is not None and len(rows) == n:
+            rows = None
         looked = None
         if self.sensor.checker is not None and (count % _PERIOD < TILE or -count % _PERIOD < n):
             looked = _looked(count, n, rows)
@@ -111,8 +114,7 @@ class CoreEstimator(Estimator):
         """A live line's samples, through arrays that are kept: finding the address of new ones takes as long as the rest."""
         if self._few is None:
             self._few = _Few(self._outputs)
-        few = self._few.push(self._core, self._address, samples, rows)
-        return Estimates(few.time_ns.copy(), few.values.copy(), few.sigma.copy(), few.quality.copy())
+        return self._few.push(self._core, self._address, samples, rows)
 
     def _many_pushed(
         self, samples: Samples, rows: NDArray[np.intp] | None, looked: NDArray[np.intp] | None
@@ -194,7 +196,9 @@ class _Few:
         self._outputs = outputs
         self.values, self.sigma = np.empty((2, outputs * _FEW))
         self.quality = np.empty(_FEW, dtype=np.uint32)
-        self._addresses = {name: getattr(self, name).ctypes.data for name in ("ambient_C", "flags", "rows")}
+        self._at_ambient, self._at_flags, self._at_rows = (
+            array.ctypes.data for array in (self.ambient_C, self.flags, self.rows)
+        )
         self._table = BlockTable(
             0, 0, 0, TILE, 0, self.time_ns.ctypes.data, self.voltage_V.ctypes.data, self.current_A.ctypes.data, None, None,
             None, self.values.ctypes.data, self.sigma.ctypes.data, self.quality.ctypes.data, None,
@@ -203,23 +207,26 @@ class _Few:
     def push(
         self, core: CoreBackend, state: int, samples: Samples, rows: NDArray[np.intp] | None
     ) -> Estimates:
-        """The estimates, in this block's memory."""
-        n = len(samples)
+        """The estimates, in memory of their own."""
+        time_ns, table = samples.time_ns, self._table
+        n = len(time_ns)
         m = n if rows is None else len(rows)
-        table, addresses = self._table, self._addresses
-        self.time_ns[:n], self.voltage_V[:n], self.current_A[:n] = (
-            samples.time_ns, samples.voltage_V, samples.current_A,
-        )  # fmt: skip
-        for name, given in (("ambient_C", samples.ambient_C), ("flags", samples.flags)):
-            if given is not None:
-                getattr(self, name)[:n] = given
-            setattr(table, name, None if given is None else addresses[name])
+        self.time_ns[:n] = time_ns
+        self.voltage_V[:n] = samples.voltage_V
+        self.current_A[:n] = samples.current_A
+        if samples.ambient_C is not None:
+            self.ambient_C[:n] = samples.ambient_C
+        if samples.flags is not None:
+            self.flags[:n] = samples.flags
         if rows is not None:
             self.rows[:m] = rows
-        table.rows = None if rows is None else addresses["rows"]
+        table.ambient_C = None if samples.ambient_C is None else self._at_ambient
+        table.flags = None if samples.flags is None else self._at_flags
+        table.rows = None if rows is None else self._at_rows
         table.n, table.m = n, m
         _run(core, state, table, samples)
-        time_ns = self.time_ns[:n] if rows is None else samples.time_ns[rows]
         K = self._outputs
-        values, sigma = (array[: K * m].reshape(K, m).T for array in (self.values, self.sigma))
-        return Estimates(time_ns, values, sigma, self.quality[:m])
+        return Estimates(
+            time_ns if rows is None else time_ns[rows], self.values[: K * m].copy().reshape(K, m).T,
+            self.sigma[: K * m].copy().reshape(K, m).T, self.quality[:m].copy(),
+        )  # fmt: skip

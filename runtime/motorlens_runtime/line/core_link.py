@@ -42,7 +42,7 @@ class CoreLink(Link):
             0,
         )
         self._addresses = [ctypes.addressof(part) for part in (self._memory, self._table, self._frame)]
-        self._in_core = False
+        self._in_core = self._has_ambient = False
 
     @property
     def counters(self) -> Counters:
@@ -79,13 +79,12 @@ class CoreLink(Link):
         return joined(parts)
 
     def _samples_of(self, n: int) -> Samples:
-        voltage_V, current_A, ambient_C = self._out_values[:, :n].copy()
-        measured = self._memory.scaling.channel[2].used
+        voltage_V, current_A, ambient_C = self._out_values
         return Samples(
             self._out_ns[:n].copy(),
-            voltage_V,
-            current_A,
-            ambient_C if measured else None,
+            voltage_V[:n].copy(),
+            current_A[:n].copy(),
+            ambient_C[:n].copy() if self._has_ambient else None,
             self._out_flags[:n].copy(),
         )
 
@@ -134,4 +133,5 @@ class CoreLink(Link):
                 (
                     channel.index, channel.scale, channel.offset, channel.factor, channel.shift, channel.least, channel.most,
                 ) = numbers  # fmt: skip
+        self._has_ambient = bool(into.channel[2].used)
         self._in_core = True

@@ -131,7 +131,10 @@ class Service:
         if len(estimates):
             estimates = self._held_until_settled(estimates)
             self._latest = estimates
-            self._hand_out(estimates, np.column_stack([samples.voltage_V[rows], samples.current_A[rows]]))
+            inputs = np.empty((len(rows), 2))
+            chosen = slice(None) if len(rows) == len(samples) else rows
+            inputs[:, 0], inputs[:, 1] = samples.voltage_V[chosen], samples.current_A[chosen]
+            self._hand_out(estimates, inputs)
         if self._memory is not None:
             self._memory.keep(estimator, self._feed.device, arrival_ns)
         self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
