@@ -1,4 +1,4 @@
-/* exp and log in double, of IEEE operations alone. */
+/* exp and log, of IEEE operations alone. */
 #include "arithmetic.h"
 
 double motorlens_decay(double x)
@@ -45,3 +45,24 @@ double motorlens_log(double x)
         p = p * square + series[term];
     return (double)k * 6.93147180369123816490e-01 + (2.0 * s + (2.0 * s * square * p + (double)k * 1.90821492927058770002e-10));
 }
+
+#if MOTORLENS_SINGLE
+
+/* exp of -87 to 88 in single precision, as `exp_between`: to the 7th power, what is left is below 6e-9 of it. */
+float motorlens_expf_between(float x)
+{
+    const float turns = x * 1.44269504f;
+    const int32_t k = (int32_t)(turns + (turns < 0.0f ? -0.5f : 0.5f));
+    const float r = (x - (float)k * 0.693145752f) - (float)k * 1.42860677e-06f;
+    float p = 1.0f / 5040.0f;
+    p = p * r + 1.0f / 720.0f;
+    p = p * r + 1.0f / 120.0f;
+    p = p * r + 1.0f / 24.0f;
+    p = p * r + 1.0f / 6.0f;
+    p = p * r + 0.5f;
+    p = p * r + 1.0f;
+    p = p * r + 1.0f;
+    return p * float_two_to(k);
+}
+
+#endif

@@ -58,23 +58,6 @@ static inline double exp_between(double x)
     return p * two_to(k);
 }
 
-/* The same in single precision, for -87 to 88: to the 7th power, what is left is below 6e-9 of it. */
-static inline float expf_between(float x)
-{
-    const float turns = x * 1.44269504f;
-    const int32_t k = (int32_t)(turns + (turns < 0.0f ? -0.5f : 0.5f));
-    const float r = (x - (float)k * 0.693145752f) - (float)k * 1.42860677e-06f;
-    float p = 1.0f / 5040.0f;
-    p = p * r + 1.0f / 720.0f;
-    p = p * r + 1.0f / 120.0f;
-    p = p * r + 1.0f / 24.0f;
-    p = p * r + 1.0f / 6.0f;
-    p = p * r + 0.5f;
-    p = p * r + 1.0f;
-    p = p * r + 1.0f;
-    return p * float_two_to(k);
-}
-
 #if MOTORLENS_LANES > 1
 /* Eight numbers that are computed with at once: an extension of gcc and clang, which a PC has. */
 #define MOTORLENS_VECTOR_LANES 8
@@ -83,12 +66,13 @@ typedef motorlens_real motorlens_vector __attribute__((vector_size(MOTORLENS_VEC
 
 static inline motorlens_real real_exp(motorlens_real x)
 {
-    if (MOTORLENS_SINGLE) {
-        if (!(x > -87))
-            return x != x ? x : 0;
-        return x > 88 ? (motorlens_real)INFINITY : (motorlens_real)expf_between((float)x);
-    }
-    return (motorlens_real)motorlens_exp((double)x);
+#if MOTORLENS_SINGLE
+    if (!(x > -87))
+        return x != x ? x : 0;
+    return x > 88 ? (float)INFINITY : motorlens_expf_between(x);
+#else
+    return motorlens_exp(x);
+#endif
 }
 
 /* So many sums are added up side by side: a processor need not wait for one to go on, and reads each column once for all. Of

@@ -16,7 +16,7 @@ static float loss_over(float x)
 {
     float sum = 1.0f, loss;
     if (x > 0.5f) {
-        loss = x < 16.0f ? 1.0f - expf_between(-x) : 1.0f;
+        loss = x < 16.0f ? 1.0f - motorlens_expf_between(-x) : 1.0f;
     } else {
         for (int k = 9; k > 1; k--) /* x - x^2/2! + x^3/3! ... */
             sum = 1.0f - x / (float)k * sum;
@@ -25,10 +25,18 @@ static float loss_over(float x)
     return loss < 0.99999994f ? loss : 0.99999994f;
 }
 
-void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state *state, int64_t dt_ns,
-                            const motorlens_signal *signals)
+/* A whole number without its last places, of which there are at most 31: fewer instructions than a shift by any number. */
+static int64_t without_last(int64_t number, int places)
+{
+    const int32_t high = (int32_t)(number >> 32);
+    const uint32_t low = (uint32_t)number >> places | (uint32_t)high << 1 << (31 - places);
+    return (int64_t)((uint64_t)(uint32_t)(high >> places) << 32 | low);
+}
+
+void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state *state, int64_t dt_ns)
 {
     const int filters = map->filters;
+    const motorlens_signal *signals = state->value + filters;
     if (dt_ns == 0)
         return;
     if (dt_ns != state->dt_ns) { /* a live line keeps its step */
@@ -36,7 +44,7 @@ void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state 
         for (int k = 0; k < filters; k++) {
             float loss = loss_over(step * map->per_ns[k]);
             uint8_t shift = 0;
-            while (loss < 0.5f && shift < 62) {
+            while (loss < 0.5f && shift < 31) { /* from a step of tau / 2^31 on, the gain has fewer bits */
                 loss *= 2.0f;
                 shift++;
             }
@@ -46,10 +54,10 @@ void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state 
         state->dt_ns = dt_ns;
     }
     for (int k = 0; k < filters; k++) {
-        const int64_t apart = signals[map->filter_signal[k]] - state->value[k];
-        const int64_t high = (int64_t)(int32_t)(apart >> 32) * state->gain[k];
-        const uint64_t low = (uint64_t)(uint32_t)apart * (uint32_t)state->gain[k];
-        state->value[k] += (2 * high + (int64_t)(low >> 31)) >> state->shift[k];
+        const int64_t apart = 2 * (signals[map->filter_signal[k]] - state->value[k]);
+        const int32_t upper = (int32_t)((uint64_t)apart >> 32), gain = state->gain[k];
+        const uint64_t low = (uint64_t)(uint32_t)apart * (uint32_t)gain;
+        state->value[k] += without_last((int64_t)upper * gain + (int64_t)(low >> 32), state->shift[k]);
     }
 }
 

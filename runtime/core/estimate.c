@@ -22,15 +22,22 @@ void motorlens_start(const motorlens_sensor *sensor, motorlens_state *state, int
 
 uint32_t motorlens_update(const motorlens_sensor *sensor, motorlens_state *state, motorlens_sample *sample)
 {
-    motorlens_signal signals[MOTORLENS_SIGNALS];
     int64_t dt_ns;
     int used;
+#if !MOTORLENS_SINGLE
+    motorlens_signal signals[MOTORLENS_SIGNALS];
+#endif
     const uint32_t quality =
         motorlens_gate_inspect(&sensor->gate, &state->gate, state->period_ns, sample, &dt_ns, &used);
     if (quality == MOTORLENS_BACKWARDS)
         return quality;
+#if MOTORLENS_SINGLE
+    motorlens_signals(&sensor->features, sample, state->bank.value + sensor->features.filters);
+    motorlens_bank_advance(&sensor->features, &state->bank, dt_ns);
+#else
     motorlens_signals(&sensor->features, sample, signals);
     motorlens_bank_advance(&sensor->features, &state->bank, dt_ns, signals);
+#endif
     state->failed = 0;
 #if MOTORLENS_OPERATIONS
     if (sensor->observer.size > 0 && used)
@@ -61,7 +68,6 @@ uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *sta
     const motorlens_features *map = &sensor->features;
     const motorlens_envelope *envelope = &sensor->envelope;
     const int first = map->filters + map->signals;
-    motorlens_signal signals[MOTORLENS_SIGNALS];
     double observed[MOTORLENS_OBSERVER] = {0};
     int32_t wholes[MOTORLENS_COLUMNS];
     float reals[MOTORLENS_REALS], squares;
@@ -75,8 +81,7 @@ uint32_t motorlens_evaluate(const motorlens_sensor *sensor, motorlens_state *sta
         if (failed)
             return quality | MOTORLENS_QUALITY_NOT_FINITE;
     }
-    motorlens_signals(map, sample, signals);
-    motorlens_whitened(sensor, state, signals, observed, wholes, reals, &squares);
+    motorlens_whitened(sensor, state, observed, wholes, reals, &squares);
     motorlens_network_evaluate(sensor, wholes, reals, estimate, sigma);
     if (squares > envelope->limit)
         quality |= MOTORLENS_QUALITY_OUTSIDE_ENVELOPE;

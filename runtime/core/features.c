@@ -30,12 +30,6 @@ void motorlens_signals(const motorlens_features *map, const motorlens_sample *sa
     }
 }
 
-static int64_t value_of(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals, int column)
-{
-    const int filters = sensor->features.filters;
-    return column < filters ? state->bank.value[column] : signals[column - filters];
-}
-
 /* A whole number without its last places, from 1 to 31 of them, in 32 bits; at the end of their range where it does not fit. */
 static int32_t without(int64_t number, int places)
 {
@@ -48,8 +42,8 @@ static int32_t without(int64_t number, int places)
 }
 
 /* The distance of a feature from its mean in 32 bits, or, without whitening, in single precision. */
-static int32_t look_at(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
-                       const double *observed, int feature, float *plain)
+static int32_t look_at(const motorlens_sensor *sensor, const motorlens_state *state, const double *observed, int feature,
+                       float *plain)
 {
     const motorlens_features *map = &sensor->features;
     const motorlens_envelope *envelope = &sensor->envelope;
@@ -66,18 +60,18 @@ static int32_t look_at(const motorlens_sensor *sensor, const motorlens_state *st
 #else
     (void)observed;
 #endif
-    distance = value_of(sensor, state, signals, plus) - envelope->mean[feature];
+    distance = state->bank.value[plus] - envelope->mean[feature];
     if (minus != UINT16_MAX)
-        distance -= value_of(sensor, state, signals, minus);
-    if (envelope->whitening == NULL)
+        distance -= state->bank.value[minus];
+    if (!MOTORLENS_WHITENED)
         *plain = real_of(distance) * float_two_to(envelope->unit[feature]);
     return without(distance, shift); /* the mean has half a place in it, so that this rounds */
 }
 
 /* Where the features stand among those trained on, into `wholes`; without an envelope, their distance from the mean into `reals`.
  * In whole numbers, so that small differences of large products lose nothing, and in few instructions. */
-void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
-                        const double *observed, int32_t *wholes, float *reals, float *squares)
+void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const double *observed, int32_t *wholes,
+                        float *reals, float *squares)
 {
     const motorlens_envelope *envelope = &sensor->envelope;
     const int count = sensor->features.features;
@@ -85,8 +79,8 @@ void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *s
     int32_t apart[MOTORLENS_FEATURES];
     float length = 0.0f;
     for (int k = 0; k < count; k++)
-        apart[k] = look_at(sensor, state, signals, observed, k, reals + k);
-    for (int k = 0; k < count && weight != NULL; k += MOTORLENS_SUMS) {
+        apart[k] = look_at(sensor, state, observed, k, reals + k);
+    for (int k = 0; MOTORLENS_WHITENED && k < count; k += MOTORLENS_SUMS) {
         const int wanted = count - k < MOTORLENS_SUMS ? count - k : MOTORLENS_SUMS;
         int64_t sums[MOTORLENS_SUMS];
         motorlens_wide_sums(weight, apart + k, count - k, sums, wanted);

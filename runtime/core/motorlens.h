@@ -175,9 +175,13 @@ typedef struct {
 
 /* The physics observer; `size` 0 is none. Layout as in docs/sensor-file.md. */
 typedef struct {
+#if MOTORLENS_OPERATIONS
     motorlens_program accumulate, correct, read;
+#endif
     uint16_t size, window, time, outputs;
+#if MOTORLENS_OPERATIONS
     double full_s, ambient_C;
+#endif
 } motorlens_observer;
 
 typedef struct {
@@ -201,7 +205,7 @@ typedef struct {
 /* The filters after `count` samples; see bank.c. The decay belongs to the step `dt_s`. */
 #if MOTORLENS_SINGLE
 typedef struct {
-    int64_t value[MOTORLENS_FILTERS];
+    int64_t value[MOTORLENS_FILTERS + MOTORLENS_SIGNALS]; /* of the filters, then the signals of the last sample */
     int64_t dt_ns;
     int32_t gain[MOTORLENS_FILTERS]; /* of 2^31, after a shift */
     uint8_t shift[MOTORLENS_FILTERS];
@@ -272,12 +276,17 @@ void motorlens_evaluate_rows(const motorlens_sensor *sensor, const motorlens_lan
 
 uint32_t motorlens_gate_inspect(const motorlens_gate *gate, motorlens_gate_state *state, int64_t period_ns,
                                 motorlens_sample *sample, int64_t *dt_ns, int *used);
+#if MOTORLENS_SINGLE
+void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state *state, int64_t dt_ns);
+#else
 void motorlens_bank_advance(const motorlens_features *map, motorlens_bank_state *state, int64_t dt_ns,
                             const motorlens_signal *signals);
+#endif
 void motorlens_signals(const motorlens_features *map, const motorlens_sample *sample, motorlens_signal *signals);
 #if MOTORLENS_SINGLE
-void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const motorlens_signal *signals,
-                        const double *observed, int32_t *wholes, float *reals, float *squares);
+void motorlens_whitened(const motorlens_sensor *sensor, const motorlens_state *state, const double *observed, int32_t *wholes,
+                        float *reals, float *squares);
+float motorlens_expf_between(float x);
 void motorlens_network_evaluate(const motorlens_sensor *sensor, int32_t *wholes, float *reals, float *estimate, float *sigma);
 void motorlens_narrow_sums(const int16_t *weights, const int32_t *columns, int count, int64_t *sums, int wanted);
 void motorlens_wide_sums(const int32_t *weights, const int32_t *columns, int count, int64_t *sums, int wanted);

@@ -33,8 +33,7 @@ static void all_tanh(const motorlens_real *x, int count, motorlens_real *out)
         out[k] = size < 20 ? size : 20;
     }
     for (int k = 0; k < count; k++) {
-        const motorlens_real e = MOTORLENS_SINGLE ? (motorlens_real)expf_between((float)(2 * out[k]))
-                                                  : (motorlens_real)exp_between(2 * (double)out[k]);
+        const motorlens_real e = exp_between(2 * out[k]);
         out[k] = real_with_sign(1 - 2 / (e + 1), x[k]);
     }
     for (int k = 0; k < count; k++)

@@ -42,7 +42,7 @@ static const float *value_of(const motorlens_argument *argument, int width, cons
 /* tanh: 1 - 2 / (exp(2 |x|) + 1) with the sign of x; from 20 on it is one. */
 static int32_t whole_tanh(float x)
 {
-    const float size = fabsf(x), e = expf_between(2 * (size < 20.0f ? size : 20.0f));
+    const float size = fabsf(x), e = motorlens_expf_between(2 * (size < 20.0f ? size : 20.0f));
     const int32_t result = BOUNDED - (int32_t)((2.0f * (float)BOUNDED) / (e + 1));
     return x < 0 ? -result : result;
 }
@@ -82,8 +82,8 @@ void motorlens_network_evaluate(const motorlens_sensor *sensor, int32_t *wholes,
 {
     const motorlens_network *network = &sensor->network;
     const int features = sensor->features.features, width = network->outputs;
-    int32_t *whole = wholes + (sensor->envelope.whitening == NULL ? 0 : features);
-    float *real = reals + (sensor->envelope.whitening == NULL ? features : 0);
+    int32_t *whole = wholes + (MOTORLENS_WHITENED ? features : 0);
+    float *real = reals + (MOTORLENS_WHITENED ? 0 : features);
     float room[2][MOTORLENS_WIDTH];
     const float *values;
     *whole++ = BOUNDED; /* the one */

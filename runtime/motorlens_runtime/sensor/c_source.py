@@ -68,6 +68,7 @@ typedef {"float" if single else "double"} motorlens_real; /* of measurements and
 {lines}
 #define MOTORLENS_COLUMN {"uint8_t" if tables.columns <= 256 else "uint16_t"}
 #define MOTORLENS_REGISTER {"uint8_t" if largest <= 256 else "uint16_t"}
+#define MOTORLENS_WHITENED {int(len(tables.triangle) > 0)}
 #define MOTORLENS_FUNCTIONS {functions:#x}u
 #define MOTORLENS_OPERATIONS {operations:#x}u
 
@@ -153,9 +154,7 @@ class _Printer:
             network = self._whole_network(t)
         else:
             network = self._network(t)
-        watching = (
-            "{{0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0}, 0, 0, 0, 0, 1.0, 0.0}"
-        )
+        watching = "{0, 0, 0, 0}"
         if observer is not None:
             programs = [
                 self._program(label, program)
