@@ -34,9 +34,14 @@ def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted
     """
     # What goes with the shaft's angle is simulated only where that is known.
     motor, inputs = trajectory.motor, inputs_of(model, run, r)
-    states = dict(trajectory.states)
-    for k, channel in enumerate(run.channels):
-        states[STATE_OF[channel]] = states[STATE_OF[channel]] + run.measured[:, k] - predicted[:, k]
+    column = {STATE_OF[channel]: k for k, channel in enumerate(run.channels)}
+
+    def state(name: str, rows: slice) -> Array:
+        simulated = trajectory.states[name][rows]
+        if name not in column:
+            return simulated
+        return simulated + run.measured[rows, column[name]] - predicted[rows, column[name]]
+
     pace = time_constants(motor)
     masses = dict(zip(EQUATIONS, (motor.L, motor.J, motor.H), strict=True))
     reach = filter_times(run, pace)
@@ -44,13 +49,13 @@ def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted
     # Sample by sample, so some at a time: of a long recording the steps of a formula would need more room than its data.
     for begin in range(0, len(inputs.time_s), _AT_ONCE):
         rows = slice(begin, begin + _AT_ONCE)
-        x = SimpleNamespace(**{state: y[rows] for state, y in states.items()})
+        x = SimpleNamespace(**{name: state(name, rows) for name in trajectory.states})
         some = inputs.part(rows)
         u = SimpleNamespace(v=some.voltage_V, load=some.load_torque_Nm, ambient=some.ambient_C, t=some.time_s)
         for name, balance in zip(EQUATIONS, motor.balances(x, u), strict=True):
             missing[name][rows] = balance
-    for name, state in zip(EQUATIONS, STATE_OF.values(), strict=True):
-        y, tau = states.pop(state), reach[name]
+    for name, of in zip(EQUATIONS, STATE_OF.values(), strict=True):
+        y, tau = state(of, slice(None)), reach[name]
         rate = (y - lowpass(y, inputs.time_s, tau)) / tau
         missing[name] = masses[name] * rate - lowpass(missing[name], inputs.time_s, tau)
     return missing

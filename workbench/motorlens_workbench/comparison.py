@@ -41,7 +41,8 @@ NOISELESS = 1e-12
 
 @dataclass(frozen=True)
 class Overlay(FreeRun):
-    """One recording and the model's free run on it, and what each equation lacks."""
+    """One recording and the model's free run on it, of whose states those that were not measured, and what each equation
+    lacks."""
 
     missing: Mapping[str, NDArray[np.float32]]  # equation -> (N,) in the unit of `EQUATIONS`, as it is drawn
 
@@ -157,7 +158,9 @@ def compare(
         names = ", ".join(recording.name for recording in recordings)
         raise ModelError(f"{names}: the model cannot follow this recording: {error}") from None
     progress("looking where it fails")
-    overlays = [_overlay(model, r, one) for r, one in enumerate(whole)]
+    overlays: list[Overlay] = []
+    for r in range(len(recordings)):
+        overlays.append(_overlay(model, r, whole.pop(0)))
     measured = [channel for channel in STATE_OF if any(channel in o.run.channels for o in overlays)]
     return Comparison(
         file,
@@ -175,7 +178,10 @@ def compare(
 def _overlay(model: Model, r: int, one: FreeRun) -> Overlay:
     missing = missing_of(model, one.run, r, one.trajectory, one.predicted)
     drawn = {name: missing.pop(name).astype(np.float32) for name in EQUATIONS}
-    return Overlay(one.run, one.trajectory, one.predicted, one.floor, drawn)
+    # What was measured is drawn and sorted by as measured: of the simulation the rest is kept.
+    seen = {STATE_OF[channel] for channel in one.run.channels}
+    unseen = {name: y.copy() for name, y in one.trajectory.states.items() if name not in seen}
+    return Overlay(one.run, replace(one.trajectory, states=unseen), one.predicted, one.floor, drawn)
 
 
 def _note(recording: Recording) -> str:

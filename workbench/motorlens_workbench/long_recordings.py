@@ -51,7 +51,7 @@ def means(recording: Recording) -> Recording:
 
 def beside(
     file: MotorFile, recordings: Sequence[Recording], progress: Callable[[str], None]
-) -> tuple[Model, tuple[FreeRun, ...]]:
+) -> tuple[Model, list[FreeRun]]:
     """The motor file beside all samples of recordings, nothing of the motor fitted.
 
     Raises:
@@ -72,7 +72,7 @@ def beside(
     for k, r in enumerate(long, start=len(runs)):
         progress(f"running along {recordings[r].name}")
         whole[r] = _along(along, runs[r], r, parts[k])
-    return along, tuple(whole)
+    return along, whole
 
 
 def _along(model: Model, run: Run, r: int, lively: FreeRun) -> FreeRun:

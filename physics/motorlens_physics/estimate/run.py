@@ -220,7 +220,8 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     rows = len(recording)
     if rows < 40:
         raise DataError(f"{recording.name}: {rows} samples are too few to compare with a model")
-    time = recording.time_s - recording.time_s[0]
+    begin = recording.time_s[0]
+    time = recording.time_s - begin if begin else recording.time_s
     measured = np.empty((rows, len(used)))
     present = np.ones((rows, len(used)), dtype=bool)
     floor, quantum = np.empty(len(used)), np.empty(len(used))
