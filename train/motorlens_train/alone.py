@@ -15,15 +15,15 @@ from motorlens_train.observer.frame import Frame
 from motorlens_train.sensor import Sensor
 from motorlens_train.specification import Bank, Envelope, Feature, Output, Specification
 
+OUTPUTS = ("speed", "temperature", "resistance")
 # What a supply gives beyond the rating plate, its noise included; the largest current is that of a locked rotor.
 SUPPLY = 1.25
 
 
-def alone(bank: Bank) -> Bank:
+def alone(bank: Bank, given: Sequence[str] = OUTPUTS) -> Bank:
     """A bank with an observer, without filters; of the observer's outputs those that a sensor gives."""
     observer = bank.observer
     assert observer is not None
-    given = ("speed", "temperature", "resistance")
     names = (*given, *(f"log_{name}" for name in given), "distrust")
     read = observer.read.giving([observer.outputs.index(name) for name in names])
     features = tuple(Feature("observer", filters=(k,)) for k in range(len(names)))
@@ -47,10 +47,10 @@ def observer_alone(recipe: Recipe, file: MotorFile) -> Sensor:
 
 
 def card_of(sensor: Sensor, unseen: Sequence[Cycle], seed: int) -> dict[str, Any]:
-    """What is said of it: its errors on simulated cycles."""
+    """What is said of it: its errors on simulated cycles, if there are any."""
     return {
         "network": "observer alone", "parameters": 0, "seed": seed, "unseen_cycles": len(unseen),
-        "samples_seen": sum(c.rows for c in unseen), "unseen": measured(sensor, unseen),
+        "samples_seen": sum(c.rows for c in unseen), "unseen": measured(sensor, unseen) if unseen else {},
         "operations": {
             key: len(getattr(sensor.bank.observer, key).steps) for key in ("accumulate", "correct", "read")
         },

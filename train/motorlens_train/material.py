@@ -11,7 +11,7 @@ from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.scenario import parse_noise, time_constants
 from motorlens_runtime.errors import DataError
-from motorlens_train.alone import alone
+from motorlens_train.alone import OUTPUTS, alone
 from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.extended_kalman import noise_of as noise_found
 from motorlens_train.build import Recipe
@@ -24,7 +24,6 @@ from motorlens_train.paper import PaperRun, paper_run
 from motorlens_train.specification import Array, Bank, Rate
 from motorlens_train.trainer import Settings
 
-OUTPUTS = ("speed", "temperature", "resistance")
 # Rows kept of each simulated cycle: neighbours tell nothing new.
 ROWS = 400
 LONGEST_S = 7200.0
@@ -105,11 +104,8 @@ def from_motor(
     usual = (12, 8) if observed is None else (6,)
     recipe = Recipe(
         name, bank, OUTPUTS, usual if hidden is None else hidden,
-        # The filters of a network alone know the rates they were trained at; an observer's equations hold at any. It is
-        # judged at a fifth to twenty times the rate, and steps of a clock that jitters are up to a fifth off.
-        Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz)
-        if observed is None
-        else Rate(rate_Hz, rate_Hz / 6, 24 * rate_Hz),
+        # The filters of a network alone know the rates they were trained at.
+        Rate(rate_Hz, rate_Hz / 5, 2 * rate_Hz) if observed is None else observed_rate(rate_Hz),
         5 * time_constants(file.motor).mechanical_s, seed,
         # What an observer leaves over is small, and alike for minutes.
         Settings(iterations=iterations, time_series=observed is not None),
@@ -133,6 +129,12 @@ def from_motor(
     )
     cases = {"started warm or switched on late, unknown to the sensor": late} if late else {}
     return Material(recipe, training, calibration, unseen, origin, cases)
+
+
+def observed_rate(rate_Hz: float) -> Rate:
+    """Rates of an observer, whose equations hold at any: it is judged at a fifth to twenty times the nominal one, and steps
+    of a clock that jitters are up to a fifth off."""
+    return Rate(rate_Hz, rate_Hz / 6, 24 * rate_Hz)
 
 
 def relative(file: MotorFile, tolerance: float, rng: np.random.Generator) -> MotorFile:
@@ -240,6 +242,8 @@ def from_recordings(
         )
     period = float(np.median([r.period_s for r in recordings]))
     resistance, inductance = electrical(recordings)
+    # An observer gives the rise above ambient.
+    ambient = ambient and observed is None
     bank = recording_bank(resistance, inductance, period, max(r.duration_s for r in recordings), ambient)
     if observed is not None:
         voltage_sd, current_sd = noise_found(recordings, observed.rated)

@@ -10,7 +10,9 @@ observer finds R, ke and J of the motor it is put on, and a network mends what i
 network on filters, without an observer: lighter on a microcontroller, and only for a motor that starts at ambient
 temperature, as its quality says. With --make in the place of --tolerance, motors differ as motorlens fleet has found.
 
-From recordings it is a network; the targets that were measured (speed, temperature, resistance) decide what it promises.
+From recordings it is the observer of the motor that they show, fitted as motorlens calibrate fits it, where that comes
+nearer to recordings left out in turn than a network does; OUT.toml is that motor. Else, or with --hidden, it is a network.
+The targets that were measured (speed, temperature, resistance) decide what it promises.
 
 Beside OUT.onnx stand OUT.step.onnx (one stateful step, for other hosts) and OUT.md, the card: errors on duty cycles not
 trained on and, of an observer, in --worlds worlds that it was not made in (see `motorlens evaluate --help`).
@@ -64,7 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.make import of_make
-    from motorlens_physics.motor_file import read_motor_file
+    from motorlens_physics.motor_file import read_motor_file, write_motor_file
+    from motorlens_physics.recording import read_recording
     from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
     from motorlens_train.alone import card_of, observer_alone
@@ -74,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_train.evaluation.worlds.table import cells_in_worlds
     from motorlens_train.export import write_sensor
     from motorlens_train.material import from_motor, from_recordings, paper_of
+    from motorlens_train.own_motor import FITTED, alone_on, nearer_observer
 
     if bool(arguments.motor) == bool(arguments.recordings):
         raise DataError("say what to train on: --motor MOTOR.toml or --recordings REC...")
@@ -108,6 +112,13 @@ def run(arguments: argparse.Namespace) -> int:
                 arguments.iterations,
                 observed if observed is None or make is None else of_make(observed, make),
             )
+    own = None
+    if arguments.recordings and observed is None and hidden is None:
+        recordings = [read_recording(path, arguments.column) for path in arguments.recordings]
+        with Progress(0, "fitting the motor"):
+            own = nearer_observer(output.stem, recordings, material)
+        if own is not None:
+            material, observed = alone_on(own, recordings, material), own
     report: dict[str, Any] = {}
     if material.training:
         with Progress(arguments.iterations, "training") as progress:
@@ -123,9 +134,9 @@ def run(arguments: argparse.Namespace) -> int:
         card = card_of(sensor, material.unseen, arguments.seed)
     cases = {title: measured(sensor, cycles) for title, cycles in material.cases.items()}
     card |= {"trained_on": material.origin, "cases": cases}
-    if arguments.motor and observed is not None and observed.motor.L > 0 and arguments.worlds > 0:
-        file = read_motor_file(arguments.motor)
-        file = file if make is None else of_make(file, make)
+    judged = read_motor_file(arguments.motor) if arguments.motor and observed is not None else own
+    if judged is not None and judged.motor.L > 0 and arguments.worlds > 0:
+        file = judged if make is None else of_make(judged, make)
         with Progress(arguments.worlds, "judging in worlds") as progress:
             cells = cells_in_worlds(sensor, file, arguments.worlds, arguments.seed, progress.update)
         card["worlds"] = {"seed": arguments.seed, "cells": [cell.document() for cell in cells]}
@@ -133,12 +144,16 @@ def run(arguments: argparse.Namespace) -> int:
         card["paper"] = asdict(paper_of(Path(arguments.motor), material.recipe, arguments.noise))
     write_sensor(sensor, card, golden(sensor), output)
     write_card(sensor, card, output.with_suffix(".md"))
+    if own is not None:
+        write_motor_file(own, output.with_suffix(".toml"))
     print(
         f"{output}: {card['network']}, {card['parameters']} parameters, {output.stat().st_size / 1000:.1f} kB"
     )
-    for name, figures in (card["unseen"] or card["training"]).items():
+    where, table = "unseen duty cycles", card["unseen"]
+    if not table:
+        where, table = (FITTED, cases[FITTED]) if own else ("the training recordings", card["training"])
+    for name, figures in table.items():
         unit = next(o.unit for o in sensor.specification.outputs if o.name == name)
-        where = "unseen duty cycles" if card["unseen"] else "the training recordings"
         covered = f"95 % interval covers {100 * figures['coverage_95']:.1f} %"
         print(f"  {name}: rmse {figures['rmse']:.4g} {unit} on {where}, {covered}")
     if "worlds" in card:

@@ -1,12 +1,13 @@
 """A sensor's answers against the truth, world by world."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_train.baselines.method import OUTPUTS
 from motorlens_train.data import Rows
 from motorlens_train.evaluation.worlds.drive import Drive
 from motorlens_train.evaluation.worlds.plant import Array
@@ -43,7 +44,7 @@ class Sensing(Protocol):
 @dataclass(frozen=True)
 class Verdict:
     """One world, over the samples that count: share that is good; of those: rms and largest error, share within 1.96 stated
-    deviations, share confidently wrong, by output (3,) each (NaN where none is good)."""
+    deviations, share confidently wrong, by output (3,) each (NaN where none is good, or where it is not promised)."""
 
     world: World
     good: float
@@ -76,7 +77,10 @@ def verdict(
 
 
 def judged(sensor: Sensing, world: World, recorded: Recorded) -> Verdict:
-    """What a sensor says in a world, held against the truth; good is what its observer believes and its envelope holds."""
+    """What a sensor says in a world, held against the truth; good is what its observer believes and its envelope holds.
+
+    What it does not promise is NaN.
+    """
     rows = np.unique(np.linspace(0, len(recorded.time_s) - 1, ROWS).astype(np.int64))
     voltage, current, fence = recorded.voltage_V, recorded.current_A, sensor.envelope
     ambient = recorded.ambient_C if sensor.bank.ambient else None
@@ -88,7 +92,17 @@ def judged(sensor: Sensing, world: World, recorded: Recorded) -> Verdict:
         good &= (signal[rows] >= least) & (signal[rows] <= most)
     if sensor.bank.distrust is not None:
         good &= x[:, sensor.bank.distrust] <= 0.0
-    return verdict(world, recorded, rows, values, sds, good)
+    columns = [OUTPUTS.index(name) for name in sensor.promised]
+    seen = replace(recorded, truth=recorded.truth[:, columns], sizes=recorded.sizes[columns])
+    found = verdict(world, seen, rows, values, sds, good)
+
+    def spread(figures: Array) -> Array:
+        whole = np.full(len(OUTPUTS), np.nan)
+        whole[columns] = figures[: len(columns)]
+        return whole
+
+    figures = (spread(each) for each in (found.rms, found.largest, found.covered, found.wrong))
+    return Verdict(world, found.good, *figures)
 
 
 def verdicts(

@@ -7,7 +7,6 @@ import numpy as np
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_runtime.errors import DataError
-from motorlens_train.baselines.method import OUTPUTS
 from motorlens_train.evaluation.worlds.drive import Drive
 from motorlens_train.evaluation.worlds.judge import Sensing, Verdict, verdicts
 from motorlens_train.evaluation.worlds.plant import Array
@@ -23,12 +22,12 @@ def cells_in_worlds(
     """The table of a sensor in `count` worlds of its motor, drawn from a seed.
 
     Raises:
-        DataError: it has no observer, promises less than speed, temperature and resistance, or the motor has no inductance.
+        DataError: it has no observer, or the motor has no inductance.
     """
-    if sensor.bank.distrust is None or sensor.promised != OUTPUTS:
+    if sensor.bank.distrust is None:
         raise DataError(
-            "worlds are for sensors with an observer inside that promise speed, temperature and resistance; "
-            "this one takes its motor to have started cold, or promises less: evaluate it on recordings"
+            "worlds are for sensors with an observer inside; this one takes its motor to have started cold: evaluate it on "
+            "recordings"
         )
     if file.motor.L <= 0:
         raise DataError(f"{file.name}: worlds need the motor's inductance: set L in its file")
@@ -104,7 +103,9 @@ def _cell(factor: str, name: str, part: Sequence[Verdict]) -> Cell:
         return Cell(factor, name, len(part), wrong, good, nothing, nothing, nothing, part[0].world.seed[-1])
     rms = np.array([v.rms[:2] for v in seen])
     covered = np.average([v.covered[:2] for v in seen], axis=0, weights=[v.good for v in seen])
-    worst = max(seen, key=lambda v: float(v.wrong.max() + 1e-3 * v.rms[1]))
+    worst = max(
+        seen, key=lambda v: float(np.nan_to_num(v.wrong).max() + 1e-3 * np.nan_to_num(v.rms[:2]).max())
+    )
     return Cell(
         factor,
         name,
