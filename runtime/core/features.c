@@ -115,6 +115,12 @@ void motorlens_features_of(const motorlens_features *map, const motorlens_lanes 
     }
 }
 
+static void add_square(const motorlens_real *x, double *squares)
+{
+    for (int lane = 0; lane < MOTORLENS_LANES; lane++)
+        squares[lane] += x[lane] * x[lane];
+}
+
 void motorlens_whitened(const motorlens_envelope *envelope, int count, const motorlens_lanes *features,
                         motorlens_lanes *columns, double *squares)
 {
@@ -124,21 +130,18 @@ void motorlens_whitened(const motorlens_envelope *envelope, int count, const mot
     for (int j = 0; j < count; j++)
         for (int lane = 0; lane < MOTORLENS_LANES; lane++)
             columns[j][lane] = features[j][lane] - envelope->mean[j];
-    for (int k = 0; k < count; k += MOTORLENS_SUMS) {
-        const int wanted = count - k < MOTORLENS_SUMS ? count - k : MOTORLENS_SUMS;
-        const motorlens_lanes *sums = (const motorlens_lanes *)columns + k;
-        motorlens_lanes room[MOTORLENS_SUMS];
-        if (weights != NULL) {
-            const motorlens_real *of[MOTORLENS_SUMS];
-            for (int m = 0; m < MOTORLENS_SUMS; m++)
-                of[m] = weights + (m < wanted ? m : 0) * (count - k);
-            sums_of(of, (const motorlens_lanes *)columns + k, count - k, room, wanted);
-            weights += wanted * (count - k);
-            sums = (const motorlens_lanes *)room;
-        }
+    for (int j = 0; weights == NULL && j < count; j++)
+        add_square(columns[j], squares);
+    for (int k = 0; weights != NULL && k < count; k += MOTORLENS_SUMS) {
+        const int length = count - k, wanted = length < MOTORLENS_SUMS ? length : MOTORLENS_SUMS;
+        const motorlens_real *of[MOTORLENS_SUMS];
+        motorlens_lanes sums[MOTORLENS_SUMS];
+        for (int m = 0; m < MOTORLENS_SUMS; m++)
+            of[m] = weights + (k + m < count ? m : 0) * length;
+        weights += wanted * length;
+        sums_of(of, (const motorlens_lanes *)columns + k, length, sums, wanted);
         for (int m = 0; m < wanted; m++)
-            for (int lane = 0; lane < MOTORLENS_LANES; lane++)
-                squares[lane] += sums[m][lane] * sums[m][lane];
+            add_square(sums[m], squares);
     }
 }
 
