@@ -1,14 +1,13 @@
 """Worlds for anybody's motor: the plant is the file's motor, the table counts what it says, commands and card hold it."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.duty import MELLAH
 
-from motorlens_physics.motor_file import write_motor_file
+from motorlens_physics.motor_file import read_motor_file, write_motor_file
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_runtime.cli import main
 from motorlens_train.evaluation.worlds.drive import Drive
@@ -24,21 +23,7 @@ SHIPPED = Path(__file__).resolve().parents[2] / "models" / "sensors" / "mellah20
 
 def wheel():
     """A small motor: 12 V, its own time constants."""
-    values = {
-        "R_a0": 3.0,
-        "L": 0.0066,
-        "ke": 0.1016,
-        "J": 5e-4,
-        "b": 1e-4,
-        "H": 20.0,
-        "k0": 0.1,
-        "k_ir": 0.0,
-        "kT": 0.0,
-    }
-    plate = replace(
-        MELLAH.rated, voltage_V=12.0, current_A=0.5, speed_rad_s=100.0, torque_Nm=0.05, rise_K=30.0
-    )
-    return replace(MELLAH.with_values(values), rated=plate)
+    return read_motor_file(Path(__file__).resolve().parents[2] / "examples" / "hidden_effect" / "regbot.toml")
 
 
 @pytest.mark.parametrize("held", [True, False])

@@ -1,12 +1,22 @@
-"""Bayes factors of the contest against integrals done numerically."""
+"""Bayes factors of the contest against integrals done numerically, and likelihoods of models against what was simulated."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from motorlens_workbench.contest import log_bayes_factor
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_physics.simulation import Inputs, simulate
+from motorlens_workbench import contest
+from motorlens_workbench.contest import held_score, log_bayes_factor
+from motorlens_workbench.diagnose import fitted_of
+from motorlens_workbench.hypotheses.line import Line
+from motorlens_workbench.standing import unlikelihood, unlikely_from
 
 
 def score(size: float, information: float, *, named: bool = True) -> SimpleNamespace:
@@ -39,3 +49,42 @@ def test_of_two_that_explain_as_much_the_one_nearer_its_typical_size_is_likelier
     gain = 60.0
     told = {size: log_bayes_factor(score(size, gain / size**2), 1.0) for size in (0.05, 1.0, 20.0)}
     assert told[1.0] > told[0.05] + 1 and told[1.0] > told[20.0] + 1
+
+
+@pytest.mark.parametrize("weaker", ["book", "plain"])
+def test_a_name_is_held_by_the_weaker_of_both_ways_to_take_the_noise(monkeypatch, weaker):
+    weights = {"book": 30.0, "plain": 40.0, weaker: 7.0}
+    told = {book: SimpleNamespace(weight=weight) for book, weight in weights.items()}
+    monkeypatch.setattr(contest, "own_score", lambda book, fitted, hypothesis: told[book])
+    assert held_score("book", "plain", None, None).weight == 7.0  # type: ignore[arg-type,union-attr]
+    told[weaker] = None  # type: ignore[assignment]
+    assert held_score("book", "plain", None, None) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.fit
+def test_a_motor_that_responds_less_is_no_likelier_for_having_less_of_the_noise_of_its_inputs():
+    """Nothing is missing, and the voltage is noisy: 5 % more resistance passes less of that noise on."""
+    file = read_motor_file("mellah2016")
+    rng, time = np.random.default_rng(4), np.arange(6000) * 1e-3
+    volts = np.repeat(rng.uniform(60.0, 240.0, 12), 500)
+    inputs = Inputs(time, volts, np.full(len(time), 1.0), np.full(len(time), 20.0), held=True)
+    true = simulate(file.motor, inputs)
+    shown = {
+        "voltage": volts + 60.0 * rng.standard_normal(len(time)), "load_torque": inputs.load_torque_Nm,
+        "current": true.current_A + 0.005 * rng.standard_normal(len(time)),
+        "speed": true.speed_rad_s + 0.05 * rng.standard_normal(len(time)),
+    }  # fmt: skip
+    base = fitted_of(estimate(file, prepare_all([Recording("noisy", time, shown)], file)))
+    more = replace(base, model=base.model.with_values({"R_a0": 1.05 * base.model.values()["R_a0"]}))
+
+    def lines(fitted):
+        return [Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs)]
+
+    def itself(fitted):
+        noises = [run.noise for run in fitted.runs]
+        return unlikelihood(noises, lines(fitted), [line.error for line in lines(fitted)])
+
+    here = SimpleNamespace(lines=lines(base))
+    assert unlikely_from(here, base) == pytest.approx(itself(base), rel=1e-9)  # type: ignore[arg-type]
+    assert itself(more) < itself(base) - 10, "through its own frame the wrong motor looks likelier"
+    assert unlikely_from(here, more) > itself(base) + 3  # type: ignore[arg-type]

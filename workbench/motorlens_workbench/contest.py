@@ -6,7 +6,7 @@ chance (`evidence.null`). What has entered is weighed again beside whatever ente
 with all that could stand in its place.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,14 +23,12 @@ from motorlens_workbench.fitted import Challenger, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, with_hypothesis, without_hypothesis
 from motorlens_workbench.standing import Standing, stand, summed, under, unlikely_from
+from motorlens_workbench.telling import Progress
 
 Array = NDArray[np.float64]
-Progress = Callable[[str], None]
 
 # Effects that are looked for at most, and hypotheses that are fitted in full at each step.
 EFFECTS, REFITTED = 3, 4
-# Share of what a name wins that the model must not keep without it.
-OWN = 0.5
 # Orders of magnitude over which the prior of a free curve's size is spread (Zellner's g).
 SPREAD = 10.0 ** np.arange(7)
 
@@ -116,7 +114,9 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     refused: list[str] = []
     judged: dict[str, float] = {}
     nameless: tuple[Standing, list[Accepted]] | None = None
-    while len(accepted) < EFFECTS:
+    entered = 0
+    # What entered may leave again beside what came later: it must not go on for ever.
+    while len(accepted) < EFFECTS and entered < 2 * EFFECTS:
         challengers = beyond_chance(here, accepted, refused)
         if not challengers:
             break
@@ -125,11 +125,10 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
         step = _entered(here, challengers, refused, own, say)
         refused += step.refused
         judged |= {name: max(times, judged.get(name, 0.0)) for name, times in step.judged.items()}
-        if step.standing is not None:
-            here, refused = step.standing, []
-            if step.accepted is not None:
-                accepted.append(step.accepted)
-                here, accepted = _needed(here, accepted, own, say)
+        if step.standing is not None and step.accepted is not None:
+            here, refused, entered = step.standing, [], entered + 1
+            accepted.append(step.accepted)
+            here, accepted = _needed(here, accepted, own, say)
         elif not step.refused:
             break
     remains = any(not one.named for one in beyond_chance(here, accepted, refused))
@@ -282,21 +281,21 @@ def _judged(here: Standing, one: Challenger, fitted: Fitted, own: Sequence[type[
         # It was fitted under what noise the strongest would leave; from there and from the model's own, noise is found anew.
         ends = [settled(start) for start in (fitted, replace(fitted, runs=here.fitted.runs))]
         unlikely = [unlikely_from(here, end) for end in ends]
-        end, won = ends[int(np.argmin(unlikely))], here.unlikely - min(unlikely)
+        end = ends[int(np.argmin(unlikely))]
         book, plain = summed(end)
         score = held_score(book, plain, end, hypothesis)
         if score is None:
             return _Step()
-        # Never more than the rise of the likelihood, each model with a noise of its own.
-        score = score.winning(won)
-        judged = {one.name: score.weight / needed_weight(here, (), book.colour)}
+        needed = needed_weight(here, (), book.colour)
+        if score.weight >= needed:
+            # Never more than the rise of the likelihood, each model with a noise of its own. The model may have ended short
+            # of where it fits best: what it keeps when the name is taken out again is not the name's.
+            without = without_hypothesis(end, one.name)
+            kept = here.unlikely if without is None else unlikely_from(here, settled(without))
+            score = score.winning(min(here.unlikely, kept) - min(unlikely))
+        judged = {one.name: score.weight / needed}
         if judged[one.name] < 1.0:
             return _Step(judged=judged)
-        # What a name wins is not its own if the model keeps as much without it: it had ended short of where it fits best.
-        without = without_hypothesis(end, one.name)
-        bare = None if without is None else settled(without)
-        if bare is not None and here.unlikely - unlikely_from(here, bare) > OWN * won:
-            return _Step(stand(bare, own), judged={})
         then = stand(end, own)
     except ModelError:
         return _Step()

@@ -15,7 +15,7 @@ from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.contest import Progress, needed_weight, own_score
+from motorlens_workbench.contest import needed_weight, own_score
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors, pooled_floor
 from motorlens_workbench.evidence.ledger import Ledger, ledger
@@ -23,6 +23,7 @@ from motorlens_workbench.fitted import Fitted
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.refit import settled, with_hypothesis
 from motorlens_workbench.standing import stand, under
+from motorlens_workbench.telling import Progress
 from motorlens_workbench.verdict import seen_named
 
 Array = NDArray[np.float64]
