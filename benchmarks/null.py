@@ -28,7 +28,7 @@ from helpers.hidden import Case, draw, generate  # noqa: E402
 
 from motorlens_physics.motor_file import read_motor_file  # noqa: E402
 from motorlens_physics.recording import read_recording  # noqa: E402
-from motorlens_workbench.contest import needed_weight  # noqa: E402
+from motorlens_workbench.contest.needed import needed_weight  # noqa: E402
 from motorlens_workbench.diagnose import diagnose  # noqa: E402
 from motorlens_workbench.evidence.held_out import times_noise  # noqa: E402
 from motorlens_workbench.verdict import settle  # noqa: E402

@@ -91,3 +91,14 @@ def test_few_levels_are_a_converters_if_they_toggle():
         return prepare(replace(run, channels={**run.channels, "voltage": voltage}), file).input_step[0]
 
     assert step(steps) == 0.0 and step(noisy) == pytest.approx(1.0)
+
+
+def test_a_run_whose_channels_were_moved_remembers_what_was_recorded():
+    run = prepare(wheel(0.0), read_motor_file(MOTOR))
+    moved = run.delayed("speed", 5).delayed("voltage", 3).delayed("speed", -2)
+    assert moved.late == {"speed": 3, "voltage": 3} and not moved.valid.all()
+    again = moved.as_recorded
+    np.testing.assert_array_equal(again.measured, run.measured)
+    np.testing.assert_array_equal(again.inputs.voltage_V, run.inputs.voltage_V)
+    np.testing.assert_array_equal(again.there, run.there)
+    assert not again.late

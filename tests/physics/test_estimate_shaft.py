@@ -21,7 +21,7 @@ from motorlens_physics.ops import cos, exp
 from motorlens_physics.parameter import param
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.contest import contest
+from motorlens_workbench.contest.contest import contest
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.curves import Curve
 

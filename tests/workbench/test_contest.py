@@ -8,15 +8,21 @@ import pytest
 from scipy.integrate import quad
 
 from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.model import with_sensor
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
+from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench import contest
-from motorlens_workbench.contest import held_score, log_bayes_factor
+from motorlens_workbench.contest import worth
+from motorlens_workbench.contest.bayes_factor import log_bayes_factor
+from motorlens_workbench.contest.worth import consistent, held_score
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.standing import unlikelihood, unlikely_from
+
+# A load that is not there, measured with noise: how large the sensor's gain is, nothing can tell.
+IDLE_NOISE_NM = 0.4
 
 
 def score(size: float, information: float, *, named: bool = True) -> SimpleNamespace:
@@ -55,7 +61,7 @@ def test_of_two_that_explain_as_much_the_one_nearer_its_typical_size_is_likelier
 def test_a_name_is_held_by_the_weaker_of_both_ways_to_take_the_noise(monkeypatch, weaker):
     weights = {"book": 30.0, "plain": 40.0, weaker: 7.0}
     told = {book: SimpleNamespace(weight=weight) for book, weight in weights.items()}
-    monkeypatch.setattr(contest, "own_score", lambda book, fitted, hypothesis: told[book])
+    monkeypatch.setattr(worth, "own_score", lambda book, fitted, hypothesis: told[book])
     assert held_score("book", "plain", None, None).weight == 7.0  # type: ignore[arg-type,union-attr]
     told[weaker] = None  # type: ignore[assignment]
     assert held_score("book", "plain", None, None) is None  # type: ignore[arg-type]
@@ -88,3 +94,43 @@ def test_a_motor_that_responds_less_is_no_likelier_for_having_less_of_the_noise_
     assert unlikely_from(here, base) == pytest.approx(itself(base), rel=1e-9)  # type: ignore[arg-type]
     assert itself(more) < itself(base) - 10, "through its own frame the wrong motor looks likelier"
     assert unlikely_from(here, more) > itself(base) + 3  # type: ignore[arg-type]
+
+
+@pytest.mark.fit
+def test_a_gain_of_a_noisy_input_is_no_likelier_for_making_its_noise_smaller():
+    file = read_motor_file("mellah2016")
+    rng, time = np.random.default_rng(5), np.arange(6000) * 1e-3
+    volts = np.repeat(rng.uniform(60.0, 240.0, 12), 500)
+    inputs = Inputs(time, volts, np.zeros(len(time)), np.full(len(time), 20.0), held=True)
+    true = simulate(file.motor, inputs)
+    shown = {
+        "voltage": volts, "load_torque": IDLE_NOISE_NM * rng.standard_normal(len(time)),
+        "current": true.current_A + 0.005 * rng.standard_normal(len(time)),
+        "speed": true.speed_rad_s + 0.005 * rng.standard_normal(len(time)),
+    }  # fmt: skip
+    base = fitted_of(estimate(file, prepare_all([Recording("idle", time, shown)], file)))
+    here = SimpleNamespace(
+        lines=[Line.of(base.model, run, r, base.prior.keys) for r, run in enumerate(base.runs)]
+    )
+    gain = replace(sensor_catalogue()["load_torque_sensor_gain"], gain=1.5)
+    with_gain = replace(base, model=with_sensor(base.model, gain))
+    one, other = (unlikely_from(here, fitted) for fitted in (base, with_gain))  # type: ignore[arg-type]
+    # Were the noise two thirds as large, this would be thousands.
+    assert abs(one - other) < 0.02 * len(time)
+
+
+def test_a_win_is_as_consistent_as_blocks_of_time_agree_on_it():
+    rng = np.random.default_rng(6)
+    won = 1.0 + rng.standard_normal(64)
+    pairs, fours = won.reshape(-1, 2).sum(axis=1), won.reshape(-1, 4).sum(axis=1)
+    ratios = [won.sum() ** 2 / (len(part) * np.var(part, ddof=1)) for part in (won, pairs, fours)]
+    assert consistent(won, 1e9) == pytest.approx(min(ratios))
+    assert consistent(won, 5.0) == 5.0, "never more than the likelihood rises"
+    assert consistent(-won, 1e9) == 0.0
+
+
+def test_chance_wins_no_more_often_than_its_level():
+    """Of two models as good as each other one is consistently likelier, at 1 %, in no more than 1 %."""
+    rng = np.random.default_rng(7)
+    told = np.array([consistent(rng.standard_normal(64), 1e9) for _ in range(4000)])
+    assert np.mean(told > 6.635) < 0.01

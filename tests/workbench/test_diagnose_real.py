@@ -1,14 +1,18 @@
 """What the diagnosis says of real motors, against what is documented of them (README of the recordings)."""
 
+from pathlib import Path
+
 import pytest
 from helpers.recordings import FOLDER, REGBOT_LEFT, needs_recordings, regbot
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
 from motorlens_workbench.diagnose import diagnose
+from motorlens_workbench.driven import driven
 from motorlens_workbench.evidence.held_out import held_out
 from motorlens_workbench.verdict import settle
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 # A drop at brushes and driver of a few tenths of a volt, and what imitates it: an offset that is there at any speed.
 DROP = {"brush_voltage_drop", "dead_time", "coasting_bridge", "current_sensor_offset", "speed_sensor_offset"}
 FRICTION = {"coulomb_friction", "hysteresis_iron_loss", "directional_friction", "constant_torque"}
@@ -43,6 +47,23 @@ def test_three_wheel_motors_in_one_call_lack_a_drop_and_a_friction():
     assert set(verdict.chosen) <= DROP | FRICTION
     last = found.outcome.last
     assert held_out(last.book, last.lines)["speed"] < 1.5
+
+
+@needs_recordings
+@pytest.mark.fit
+def test_the_iron_of_a_thruster_warms_its_winding_late_and_no_sensor_is_blamed():
+    """A brushless motor of 700 g with one thermocouple at its winding: its iron is no part of the textbook's winding."""
+    thermal = FOLDER / "ksu_thermal"
+    columns = ["temperature=4LHE Temp (ºF)", "ambient=66NA Temp (ºF)"]
+    recording = read_recording(thermal / "Spike-P80-1700_2020-02-11_162559.csv", columns)
+    file, recordings = driven(read_motor_file(EXAMPLES / "real_recordings" / "mega.toml"), [recording])
+    found = diagnose(file, recordings)
+    verdict = settle(found)
+    assert {"iron_core", "iron_heat_delay"} <= set(verdict.groups[0])
+    assert not any("sensor" in name for name in verdict.chosen)
+    first, last = found.outcome.first, found.outcome.last
+    before, after = held_out(first.book, first.lines), held_out(last.book, last.lines)
+    assert after["temperature"] < 0.25 * before["temperature"]
 
 
 @needs_recordings

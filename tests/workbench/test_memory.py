@@ -11,7 +11,7 @@ from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.contest import contest
+from motorlens_workbench.contest.contest import contest
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.memory import DAMPING, Memory, resonances
 

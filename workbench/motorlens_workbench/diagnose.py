@@ -8,7 +8,7 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
-from motorlens_workbench.contest import Outcome, contest
+from motorlens_workbench.contest.contest import Outcome, contest
 from motorlens_workbench.fitted import Fitted
 from motorlens_workbench.hypotheses.dead_channels import DeadChannel, dead_channels, without
 from motorlens_workbench.telling import Progress
@@ -31,7 +31,7 @@ class Finding:
     @property
     def runs(self) -> tuple[Run, ...]:
         """The recordings, with delays taken out."""
-        return self.base.runs
+        return self.outcome.last.fitted.runs
 
 
 def diagnose(

@@ -22,11 +22,12 @@ from motorlens_physics.estimate.run import STATE_OF, Run, prepare
 from motorlens_physics.scenario import perform, scenarios
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import MotorlensError
-from motorlens_workbench.contest import Accepted, own_score
+from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import pooled_floor
 from motorlens_workbench.evidence.ledger import common, inverse
+from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.hypotheses.effects import effects
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line

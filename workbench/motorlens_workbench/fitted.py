@@ -1,6 +1,7 @@
-"""A model fitted to recordings, and a hypothesis that would be added to it."""
+"""A model fitted to recordings, a hypothesis that would be added to it, and one that has been."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]
 
@@ -68,3 +70,25 @@ class Challenger:
     def named(self) -> bool:
         """Whether a model can be built with it."""
         return self.score.entry.hypothesis.named
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A hypothesis in the model.
+
+    Attributes:
+        hypothesis: which.
+        gain: twice the fall of the negative log likelihood as it entered, over the scatter.
+        scatter: of its size between blocks of time, as seen from the model that has it.
+        weight: minus the logarithm of the probability of as much by chance.
+        doubt: that the correction for noise of the inputs leaves, in units of the scatter.
+        beside: other names with which the motor was estimated as well, and the logarithm of how much less likely each is, as
+            far as blocks of time agree on that.
+    """
+
+    hypothesis: Hypothesis
+    gain: float
+    scatter: float
+    weight: float
+    doubt: float
+    beside: Mapping[str, float] = field(default_factory=dict)

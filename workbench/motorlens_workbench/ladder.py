@@ -15,7 +15,8 @@ from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.contest import needed_weight, own_score
+from motorlens_workbench.contest.needed import needed_weight
+from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors, pooled_floor
 from motorlens_workbench.evidence.ledger import Ledger, ledger

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.fit import inverse, minimise
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.fit import inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
@@ -61,6 +62,30 @@ def settled(fitted: Fitted) -> Fitted:
     return Fitted(point.model, fitted.prior, runs, cost, inverse(gram))
 
 
+def anew(fitted: Fitted) -> Fitted | None:
+    """The whole estimate with the effects and sensors' faults that the model has, timing and noise included.
+
+    It begins at the motor file, not where the model without them had ended: what is missing bends the parameters, and may
+    pass for a delay or for inputs that ran otherwise. None if it leads where nothing can be simulated.
+    """
+    runs = [run.as_recorded for run in fitted.runs]
+    textbook = {key: centre for key, centre in fitted.prior.centre.items() if not {".", "@"} & set(key)}
+    file = fitted.model.file.with_values(textbook)
+    try:
+        found = estimate(file, runs, fitted.prior, begin=start_model(file, runs))
+    except ModelError:
+        return None
+    return Fitted(found.fit.model, fitted.prior, found.runs, float("inf"), found.fit.covariance)
+
+
+def begun(fitted: Fitted, score: Score) -> Fitted:
+    """The model with a hypothesis at its typical size, not fitted."""
+    shape = score.entry.shape
+    assert isinstance(shape, EffectShape | SensorShape)
+    model, prior = _added(fitted, _part(shape, _typical(score)), moved={})
+    return replace(fitted, model=model, prior=prior)
+
+
 def _point(model: Model, prior: Prior, runs: Sequence[Run]) -> Weighed:
     noises = []
     for run in runs:
@@ -80,8 +105,8 @@ def with_hypothesis(fitted: Fitted, beside: Beside, score: Score) -> Fitted | No
     moved = _moved(fitted, beside, score)
     best = refit(*_added(fitted, _part(shape, _sizes(score)), moved), fitted.runs)
     if best is None or fitted.cost - best.cost < KEPT * score.gain:
-        typical = np.eye(shape.width)[0] * np.sign(score.coefficient[0] or 1.0)
-        other = refit(*_added(fitted, _part(shape, typical), moved={}), fitted.runs)
+        at_typical = begun(fitted, score)
+        other = refit(at_typical.model, at_typical.prior, fitted.runs)
         if other is not None and (best is None or other.cost < best.cost):
             best = other
     return best
@@ -92,6 +117,12 @@ def without_hypothesis(fitted: Fitted, name: str) -> Fitted | None:
     model = without_part(fitted.model, name)
     values = model.values()
     return refit(model, fitted.prior.only([key for key in fitted.prior.keys if key in values]), fitted.runs)
+
+
+def _typical(score: Score) -> Array:
+    low, high = score.entry.shape.limits()
+    sign = np.sign(score.coefficient[0])
+    return np.asarray(np.eye(score.entry.shape.width)[0] * (sign if sign and low <= sign <= high else 1.0))
 
 
 def _sizes(score: Score) -> Array:

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.model import error_of, predict
 from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
-from motorlens_physics.estimate.weighed import BRIEFLY
+from motorlens_physics.estimate.weighed import BRIEFLY, moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Score, ledger
@@ -130,11 +131,43 @@ def unlikely_from(here: Standing, fitted: Fitted) -> float:
     Raises:
         ModelError: the model cannot be simulated.
     """
+    return unlikelihood([_noise(line) for line in here.lines], here.lines, _left_by(here, fitted))
+
+
+def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
+    """(B,) by how much what a model leaves in each block of time is likelier than what another leaves, see `unlikely_from`.
+
+    Twice the logarithm.
+
+    Raises:
+        ModelError: a model cannot be simulated.
+    """
+    one, two = (_unlikely_samples(here, model) for model in (fitted, other))
+    return np.array([float(np.sum(two[r][rows] - one[r][rows])) for r, rows in here.book.blocks])
+
+
+def _unlikely_samples(here: Standing, fitted: Fitted) -> list[Array]:
+    """(N,) of each run: how unlikely each sample is."""
+    told = []
+    for line, rest in zip(here.lines, _left_by(here, fitted), strict=True):
+        noise = likelier(_noise(line), line.run, line.linear, rest, line.run.there, BRIEFLY)[0]
+        seen = innovations(noise.space(line.run, line.linear, line.run.there), rest[:, :, None])
+        spread = np.where(np.isfinite(seen.scale), seen.scale, 1.0)
+        told.append(np.sum(seen.white[:, :, 0] ** 2 + 2 * np.log(spread), axis=1))
+    return told
+
+
+def _left_by(here: Standing, fitted: Fitted) -> list[Array]:
+    """(N, C) of each run: what a model leaves, the noise of the inputs as it goes through the motor that stands."""
     rests = []
-    for line in here.lines:
-        _, shown = predict(fitted.model, line.run, line.r)
-        rests.append(error_of(line.model, line.run, line.r, line.run.measured - shown, line.linear))
-    return unlikelihood([_noise(line) for line in here.lines], here.lines, rests)
+    for line, other in zip(here.lines, fitted.runs, strict=True):
+        # Its channels may have been moved otherwise: compared is what was measured when the run's were.
+        run = replace(other, corrections=line.run.corrections).holding(fitted.model.held[line.r])
+        moved = tuple(run.late.get(c, 0) - line.run.late.get(c, 0) for c in run.channels)
+        _, shown = predict(fitted.model, run, line.r)
+        left = moved_on(run.measured - shown, moved)
+        rests.append(error_of(line.model, line.run, line.r, left, line.linear))
+    return rests
 
 
 def without_torque(line: Line) -> Noise:

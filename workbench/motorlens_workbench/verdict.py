@@ -9,11 +9,13 @@ from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import Run
-from motorlens_workbench.contest import Accepted, needed_weight, own_score
+from motorlens_workbench.contest.needed import needed_weight
+from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import times_noise
 from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing
 
 # Standard deviations within which an interval of 95 % holds.
@@ -138,7 +140,7 @@ def limits(found: Finding, times: float) -> list[str]:
     """What the recordings cannot tell, in words; `times` the noise is what the last model leaves."""
     said = [one.sentence for one in found.dead]
     said += [run.saturation for run in found.runs if run.saturated]
-    said += [delay.sentence for delay in delays_of(found.base.fit, found.runs)]
+    said += [delay.sentence for delay in delays_of(_as_fit(found), found.runs)]
     channels = {channel for run in found.runs for channel in run.channels}
     known = {quantity for run in found.runs for quantity in run.known}
     if "temperature" not in channels:
@@ -196,7 +198,13 @@ def of_key(found: Finding, one: Accepted, key: str) -> tuple[float, float]:
     seen = own_score(last.plain or last.book, last.fitted, one.hypothesis)
     scatter = (seen.scatter if seen else one.scatter) + one.doubt
     variance = float(last.fitted.covariance[keys.index(key), keys.index(key)])
-    return last.fitted.model.values()[key], float(np.sqrt(max(variance, 0.0) * scatter))
+    value, sd = last.fitted.model.values()[key], float(np.sqrt(max(variance, 0.0) * scatter))
+    if key == one.hypothesis.key and one.gain > 0:
+        # Where sensitivities change on the way to null they say less than the fit without it does.
+        sd = min(
+            sd, abs(value - (last.fitted.model.file.meaning(key).null or 0.0)) / float(np.sqrt(one.gain))
+        )
+    return value, sd
 
 
 def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:

@@ -90,13 +90,11 @@ def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
     own, shown = model.own[r], run.inputs
     motor, held = model.file.motor, model.held[r] if model.held else shown.hold
-    load = shown.load_torque_Nm
-    if "load_torque" in run.known:  # a sensor that was not there shows nothing wrong
-        load = _unread(model.file.sensors, "load_torque", shown.time_s, load)
-    voltage = _unread(model.file.sensors, "voltage", shown.time_s, shown.voltage_V)
+    voltage, load, ambient = shown.voltage_V, shown.load_torque_Nm, shown.ambient_C
     if run.corrections is not None:
+        # Of what the sensors show, before their faults are undone: a gain must not make their noise smaller.
         voltage, load = voltage + run.corrections[:, 0], load + run.corrections[:, 1]
-    ambient = shown.ambient_C
+    voltage, load = _acted(model, run, voltage, load)
     # Of a long recording each array counts: what adds nothing makes no other.
     if "load" in own:
         load = load + own["load"]
@@ -235,9 +233,31 @@ def error_of(model: Model, run: Run, r: int, difference: Array, linear: Linearis
     """(N, C) the error beside the inputs as they were recorded, from that beside the corrected ones, linearised."""
     if run.corrections is None:
         return difference
-    voltage, load = run.corrections[:, :1], run.corrections[:, 1:]
-    moved = linear.respond(voltage_V=voltage, torque_Nm=-load, held=model.held[r])
+    voltage, load = run.inputs.voltage_V, run.inputs.load_torque_Nm
+    corrected = _acted(model, run, voltage + run.corrections[:, 0], load + run.corrections[:, 1])
+    added = np.column_stack(corrected) - np.column_stack(_acted(model, run, voltage, load))
+    moved = linear.respond(voltage_V=added[:, :1], torque_Nm=-added[:, 1:], held=model.held[r])
     return difference + through_sensors(model, run, _stack_states(run, moved))[:, :, 0]
+
+
+def as_shown(model: Model, run: Run, voltage_V: Array, load_torque_Nm: Array) -> tuple[Array, Array]:
+    """Changes (N,) of what acted on the motor to what the sensors of the inputs make of them."""
+    out = []
+    for channel, y in (("voltage", voltage_V), ("load_torque", load_torque_Nm)):
+        for sensor in model.file.sensors:
+            if sensor.channel == channel and (channel == "voltage" or channel in run.known):
+                time = run.inputs.time_s
+                y = _record(sensor, time, y) - _record(sensor, time, np.zeros_like(y))
+        out.append(y)
+    return out[0], out[1]
+
+
+def _acted(model: Model, run: Run, voltage_V: Array, load_torque_Nm: Array) -> tuple[Array, Array]:
+    """What acted on the motor where its sensors show this, (N,) each."""
+    time, load = run.inputs.time_s, load_torque_Nm
+    if "load_torque" in run.known:  # a sensor that was not there shows nothing wrong
+        load = _unread(model.file.sensors, "load_torque", time, load)
+    return _unread(model.file.sensors, "voltage", time, voltage_V), load
 
 
 def _sensor(model: Model, key: str) -> SensorModel:

@@ -72,8 +72,8 @@ class Run:
         there: (N, C) which samples of each output were measured, and not imposed on the motor.
         quantum: (C,) standard deviation that the converter of an output adds to a sample.
         input_step: the least significant bit of voltage and load torque, 0 if continuous.
-        corrections: (N, 2) what truly acted less what the sensors of voltage (V) and load torque (N m) showed, as a fit
-            expects it given all that was measured; None is nothing.
+        corrections: (N, 2) what the sensors of voltage (V) and load torque (N m) showed too little, as a fit expects it
+            given all that was measured; None is nothing.
         converters: of the channels.
         turns: whether what goes with the shaft angle is looked for in it, see `prepare_all`.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
@@ -81,6 +81,7 @@ class Run:
         saturated: channel -> how many of its samples are at the end of its converter's range; these are not valid.
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
+        unmoved: the run before its channels were moved; None if none was.
     """
 
     name: str
@@ -105,6 +106,7 @@ class Run:
     saturated: Mapping[str, int] = field(default_factory=dict)
     late: Mapping[str, int] = field(default_factory=dict)
     noise: "Noise | None" = None
+    unmoved: "Run | None" = None
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -135,6 +137,11 @@ class Run:
         """With voltage, load torque and ambient holding between samples, or running linearly, each."""
         return self if self.inputs.hold == held else replace(self, inputs=replace(self.inputs, held=held))
 
+    @property
+    def as_recorded(self) -> "Run":
+        """Before anything was found of its timing and its noise."""
+        return replace(self.unmoved or self, corrections=None, noise=None)
+
     def corrected(self, errors: Array) -> "Run":
         """With what the inputs' sensors are taken to have shown too little (N, 2), V and N m."""
         return replace(self, corrections=errors)
@@ -144,16 +151,18 @@ class Run:
         if not samples:
             return self
         late = dict(self.late) | {channel: self.late.get(channel, 0) + samples}
+        unmoved = self.unmoved or self
         if channel == "voltage":
             # What was applied is what was recorded later; beyond the end, the last.
             moved = _earlier(self.inputs.voltage_V, samples)
             inputs = replace(self.inputs, voltage_V=moved)
-            return replace(self, inputs=inputs, late=late)
+            return replace(self, inputs=inputs, late=late, unmoved=unmoved)
         c = self.channels.index(channel)
         measured, there = self.measured.copy(), self.there.copy()
         measured[:, c] = _earlier(measured[:, c], samples)
         there[:, c] = _earlier(there[:, c], samples) & _inside(len(there), samples)
-        return replace(self, measured=measured, there=there, valid=np.all(there, axis=1), late=late)
+        valid = np.all(there, axis=1)
+        return replace(self, measured=measured, there=there, valid=valid, late=late, unmoved=unmoved)
 
     @property
     def saturation(self) -> str:
@@ -177,7 +186,7 @@ class Run:
         return replace(
             self, inputs=inputs, measured=measured, valid=self.valid[rows], there=self.there[rows], every=1, start=start,
             floor=self.floor * np.sqrt(self.every), angle=None if self.angle is None else self.angle[rows], shaft=shaft,
-            corrections=None if self.corrections is None else self.corrections[rows],
+            corrections=None if self.corrections is None else self.corrections[rows], unmoved=None,
         )  # fmt: skip
 
     def liveliest(self, rows: int) -> slice:

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
 from motorlens_physics.estimate.innovations import StateSpace, Sums, disturbances, innovations, sums
-from motorlens_physics.estimate.model import Model, error_of, predict, sensitivities_of
+from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise, lasting, likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
@@ -117,7 +117,8 @@ class Errors:
         seen, _, _ = disturbances(space, filtered)
         shown = np.column_stack([self.run.inputs.voltage_V, self.run.inputs.load_torque_Nm])
         # A load brakes: what the torque balance got too little, the load sensor showed too much.
-        expected = shown + np.column_stack([seen[:, VOLTAGE], -seen[:, LOAD]])
+        missed = as_shown(self.frame.model, self.run, seen[:, VOLTAGE], -seen[:, LOAD])
+        expected = shown + np.column_stack(missed)
         spread = np.sqrt(noise.disturbances[[VOLTAGE, LOAD]]).tolist()
         acted = np.column_stack([smoothed(u, sd=sd) for u, sd in zip(expected.T, spread, strict=True)])
         corrections = acted - shown

@@ -106,10 +106,21 @@ class Score:
         gain = float(np.clip(gain, 0.0, self.gain))
         return replace(self, gain=gain, weight=-log_chance(gain / self.scatter, self.width))
 
+    def or_at_least(self, statistic: float) -> "Score":
+        """With at least this gain over its scatter."""
+        if statistic <= self.gain / self.scatter:
+            return self
+        return replace(self, gain=statistic * self.scatter, weight=-log_chance(statistic, self.width))
+
     @property
     def name(self) -> str:
         """Of the hypothesis."""
         return self.entry.hypothesis.name
+
+    @property
+    def undivided(self) -> float:
+        """The weight if it scattered as white noise does."""
+        return -log_chance(self.gain, self.width)
 
     @property
     def possible(self) -> bool:
@@ -293,7 +304,8 @@ def log_chance(statistic: float, width: int) -> float:
 
 def inverse(gram: Array) -> Array:
     """Of a symmetric matrix; directions of which rounding alone is left count as unknown."""
-    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    power = np.diagonal(gram)
+    scale = np.sqrt(np.where(power > 0, power, 1.0))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     keep = values > 1e-11 * values[-1]
     return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(scale, scale))

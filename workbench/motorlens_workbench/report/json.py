@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from motorlens_workbench.contest import needed_weight
+from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import held_out, pooled_floor

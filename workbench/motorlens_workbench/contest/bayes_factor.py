@@ -1,0 +1,59 @@
+"""Bayes factors of hypotheses against nothing there, by which they are ranked under one scatter."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import logsumexp
+
+from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.fitted import Challenger
+
+# Orders of magnitude over which the prior of a free curve's size is spread (Zellner's g).
+SPREAD = 10.0 ** np.arange(7)
+
+
+def log_bayes_factor(score: Score, scatter: float, gain: float | None = None) -> float:
+    """Against nothing there, over a prior of sizes.
+
+    Args:
+        score: of a shape.
+        scatter: by which evidence is divided.
+        gain: instead of the linearised problem's.
+    """
+    gain = (score.gain if gain is None else gain) / scatter
+    if score.entry.hypothesis.named:
+        # Sizes are spread as Cauchy's distribution about nought, as wide as the typical size: a factor more is as likely as
+        # the same factor less, and of two that explain as much the one nearer its typical size is likelier. By Laplace's
+        # approximation, without what all names share.
+        known = np.linalg.slogdet(score.information / scatter + np.eye(len(score.information)))[1]
+        beyond = 0.5 * (1 + len(score.coefficient)) * np.log1p(score.coefficient @ score.coefficient)
+        return float(0.5 * gain - 0.5 * known - beyond)
+    g = SPREAD
+    return float(logsumexp(-score.width / 2 * np.log1p(g) + 0.5 * gain * g / (1 + g)) - np.log(len(g)))
+
+
+def likeliest(challengers: Sequence[Challenger]) -> Challenger:
+    """The one with the largest Bayes factor under one scatter."""
+    scatter = scatter_of(challengers)
+    return max(challengers, key=lambda one: posterior(one, one.gain, scatter))
+
+
+def simplest(challengers: Sequence[Challenger]) -> Challenger:
+    """Of the terms that leave what is nearly as likely, as noise, as the best of them does, the one with fewest columns.
+
+    Sizes are those of the linearised problem, and what they leave is known no better.
+    """
+    most = max(one.won for one in challengers)
+    able = [one for one in challengers if one.won >= (1 - CRITERIA.instead) * most]
+    return min(able, key=lambda one: (one.score.width, -one.won))
+
+
+def posterior(one: Challenger, gain: float, scatter: float) -> float:
+    """Logarithm of the Bayes factor of a challenger against nothing there, the search over its shapes paid for."""
+    return log_bayes_factor(one.score, scatter, gain) - float(np.log(len(one.score.entry.hypothesis.shapes)))
+
+
+def scatter_of(challengers: Sequence[Challenger]) -> float:
+    """By which the evidence of rivals is divided: that of the one that leaves least."""
+    return max(challengers, key=lambda one: one.gain).score.scatter * CRITERIA.tempered

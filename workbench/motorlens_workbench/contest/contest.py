@@ -1,0 +1,121 @@
+"""The contest: which hypotheses belong into the model. Adding, dropping and exchanging one are the same comparison.
+
+Every hypothesis, with a name or without, is weighed by what it explains of the evidence (Bayes factors under one scatter),
+the best with a name are fitted in full, and the best of all enters if it is beyond what the largest of all would be by
+chance (`evidence.null`). What has entered is weighed again beside whatever enters later. At the end every name is compared
+with all that could stand in its place.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from motorlens_physics.effect import Effect
+from motorlens_workbench.contest.bayes_factor import simplest
+from motorlens_workbench.contest.entering import enter
+from motorlens_workbench.contest.needed import beyond_chance, needed_weight, promising
+from motorlens_workbench.contest.rivals import Rivals, rivals_of
+from motorlens_workbench.contest.worth import consistent, held_score
+from motorlens_workbench.evidence.held_out import held_out, noise_of
+from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.fitted import Accepted, Fitted
+from motorlens_workbench.refit import settled, without_hypothesis
+from motorlens_workbench.standing import Standing, likelier_by_block, stand
+from motorlens_workbench.telling import Progress
+
+# Effects that are looked for at most.
+EFFECTS = 3
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the contest ended.
+
+    Attributes:
+        first: where it began.
+        last: where it ended.
+        accepted: in the order in which they entered.
+        rivals: of each of these.
+        unnamed: the term without a name that is beyond chance, and that no name explains; None if none is.
+        refused: names that the screen points at, but that do not hold when fitted.
+        judged: the heaviest that every name fitted in full was, in multiples of the weight that is needed.
+    """
+
+    first: Standing
+    last: Standing
+    accepted: tuple[Accepted, ...]
+    rivals: tuple[Rivals, ...]
+    unnamed: Score | None
+    refused: tuple[str, ...]
+    judged: Mapping[str, float]
+
+
+def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lambda text: None) -> Outcome:
+    """Hold it.
+
+    Raises:
+        ModelError: the base cannot be simulated.
+    """
+    say("weighing every effect, sensor fault and free term")
+    first = here = stand(base, own)
+    accepted: list[Accepted] = []
+    refused: list[str] = []
+    pointed: dict[str, None] = {}
+    judged: dict[str, float] = {}
+    nameless: tuple[Standing, list[Accepted]] | None = None
+    entered = 0
+    # What entered may leave again beside what came later: it must not go on for ever.
+    while len(accepted) < EFFECTS and entered < 2 * EFFECTS:
+        challengers = beyond_chance(here, accepted, refused)
+        able = promising(here, refused)
+        if not challengers and not able:
+            break
+        pointed |= dict.fromkeys(one.name for one in challengers)
+        if nameless is None and any(not one.named for one in challengers):
+            nameless = here, list(accepted)
+        step = enter(here, challengers, able, refused, own, say)
+        refused += step.refused
+        judged |= {name: max(times, judged.get(name, 0.0)) for name, times in step.judged.items()}
+        if step.standing is not None:
+            here, refused, entered = step.standing, [], entered + 1
+            if step.accepted is not None:
+                accepted.append(step.accepted)
+                here, accepted = _needed(here, accepted, own, say)
+        elif not step.refused:
+            break
+    remains = any(not one.named for one in beyond_chance(here, accepted, refused))
+    if remains and nameless is not None and _imitate(nameless[0], here):
+        here, accepted = nameless
+    unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
+    rivals = tuple(rivals_of(here, one) for one in accepted)
+    disproved = tuple(name for name in dict.fromkeys(refused) if name in pointed)
+    return Outcome(first, here, tuple(accepted), rivals, unnamed, disproved, judged)
+
+
+def _imitate(nameless: Standing, here: Standing) -> bool:
+    """Whether names that entered since explain less of the error than they leave beside noise, and may be a part of that."""
+    noise = noise_of(here.lines)
+    before, after = (held_out(one.book, one.lines) for one in (nameless, here))
+    explained = sum((before[channel] ** 2 - after[channel] ** 2) / noise[channel] ** 2 for channel in noise)
+    return explained < sum((after[channel] / noise[channel]) ** 2 - 1 for channel in noise)
+
+
+def _needed(
+    here: Standing, accepted: list[Accepted], own: Sequence[type[Effect]], say: Progress
+) -> tuple[Standing, list[Accepted]]:
+    """Without what is no longer needed beside what entered later."""
+    for one in accepted[:-1]:
+        others = [other for other in accepted if other is not one]
+        score = held_score(here.book, here.plain or here.book, here.fitted, one.hypothesis)
+        if score is None or here.null is None or score.weight >= needed_weight(here, others):
+            continue
+        fitted = without_hypothesis(here.fitted, one.hypothesis.name)
+        if fitted is None:
+            continue
+        without = settled(fitted)
+        won = likelier_by_block(here, here.fitted, without)
+        if score.or_at_least(consistent(won, float(np.sum(won)))).weight < needed_weight(here, others):
+            say(f"without {one.hypothesis.name.replace('_', ' ')}")
+            return stand(without, own), others
+    return here, accepted

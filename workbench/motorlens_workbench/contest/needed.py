@@ -1,0 +1,57 @@
+"""What a hypothesis must weigh to be beyond chance, and which of those that are looked at from a model do."""
+
+from collections.abc import Sequence
+
+from motorlens_workbench.contest.bayes_factor import posterior
+from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.held_out import times_noise
+from motorlens_workbench.fitted import Accepted, Challenger
+from motorlens_workbench.standing import Standing
+
+
+def needed_weight(
+    here: Standing, accepted: Sequence[Accepted], colour: float | None = None, *, named: bool = True
+) -> float:
+    """The weight that is beyond chance, and beyond what an imperfect model may leave.
+
+    Args:
+        here: where the contest stands.
+        accepted: what has entered.
+        colour: that is left in the noise beside the hypothesis; None is what the model leaves.
+        named: whether the hypothesis has a name. A free term must besides explain a share of what any name has.
+    """
+    assert here.null is not None
+    colour = here.book.colour if colour is None else colour
+    if named:
+        return max(here.null.weight(CRITERIA.excess), 0.5 * CRITERIA.colour * colour, 0.0)
+    shares = (0.5 * CRITERIA.instead * one.gain for one in accepted)
+    return max(here.null.weight(CRITERIA.unnamed), 0.5 * CRITERIA.unnamed_colour * colour, *shares, 0.0)
+
+
+def beyond_chance(here: Standing, accepted: Sequence[Accepted], refused: Sequence[str]) -> list[Challenger]:
+    """The challengers that are, the heaviest first."""
+    if here.null is None:
+        return []
+    return [
+        one
+        for one in here.challengers
+        if one.name not in refused and one.weight > needed_weight(here, accepted, one.colour, named=one.named)
+    ]
+
+
+def promising(here: Standing, refused: Sequence[str]) -> list[Challenger]:
+    """Names that would be beyond chance if they scattered as noise does, the likeliest first.
+
+    Seen from a model that lacks something, its size differs from block to block, for what makes up for it fits none of them:
+    how a name scatters is known only from the model that has it.
+    """
+    if here.null is None:
+        return []
+    named = [one for one in here.challengers if one.named and one.name not in refused]
+    able = [one for one in named if one.score.undivided > needed_weight(here, (), one.colour)]
+    return sorted(able, key=lambda one: -posterior(one, one.gain, 1.0))
+
+
+def follows(here: Standing) -> bool:
+    """Whether a model leaves no more than noise does where nothing is missing."""
+    return times_noise(here.book, here.lines) <= CRITERIA.follows

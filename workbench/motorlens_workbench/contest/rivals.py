@@ -1,0 +1,72 @@
+"""All that could stand in the place of a name that was accepted."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from motorlens_workbench.contest.bayes_factor import log_bayes_factor
+from motorlens_workbench.contest.worth import own_score
+from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.evidence.look import best_of
+from motorlens_workbench.fitted import Accepted
+from motorlens_workbench.standing import Standing
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """All that could stand in the place of an accepted hypothesis.
+
+    Attributes:
+        name: of the accepted one.
+        probability: of each hypothesis with a name, summing to one.
+        scores: of each, from the model without the accepted one.
+    """
+
+    name: str
+    probability: Mapping[str, float]
+    scores: Mapping[str, Score]
+
+    @property
+    def group(self) -> tuple[str, ...]:
+        """The smallest set that is credible, itself first, then the likelier."""
+        ranked = sorted(self.probability, key=lambda name: -self.probability[name])
+        kept, held = [], 0.0
+        for name in ranked:
+            if held >= CRITERIA.credible:
+                break
+            kept.append(name)
+            held += self.probability[name]
+        return (self.name, *(name for name in kept if name != self.name))
+
+
+def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
+    """What could stand in the place of an accepted hypothesis, as seen from the model that lacks nothing else."""
+    name, key = accepted.hypothesis.name, accepted.hypothesis.key
+    file, prior = here.fitted.model.file, here.fitted.prior
+    null = file.meaning(key).null or 0.0
+    size = (here.fitted.model.values()[key] - null) / prior.sd[key]
+    others = [other for other in here.book.keys if not other.startswith(f"{name}.")]
+    beside = here.book.beside(others, {key: size})
+    scores = best_of([s for entry in here.book.entries if (s := beside.score(entry)) is not None])
+    itself = own_score(here.book, here.fitted, accepted.hypothesis)
+    if itself is None:
+        return Rivals(name, {name: 1.0}, scores)
+    # What the model leaves out lets rivals differ by a share of what the accepted one explains. Its own column is per
+    # standard deviation of its prior, that of a rival per typical size.
+    scatter = (itself.scatter + CRITERIA.alike * itself.gain) * CRITERIA.tempered
+    unit = prior.sd[key] / abs(accepted.hypothesis.typical)
+    entry = replace(itself.entry, hypothesis=accepted.hypothesis)
+    scores[name] = replace(itself, entry=entry, information=itself.information / unit**2)
+    # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival.
+    weights = {
+        other: log_bayes_factor(score, scatter)
+        for other, score in scores.items()
+        if score.entry.hypothesis.named and (other == name or log_bayes_factor(score, itself.scatter) > 0)
+    }
+    for other, less in accepted.beside.items():
+        weights[other] = max(weights.get(other, -np.inf), weights[name] + less)
+    total = logsumexp(list(weights.values()))
+    return Rivals(name, {other: float(np.exp(w - total)) for other, w in weights.items()}, scores)

@@ -1,0 +1,97 @@
+"""What a name explains in a model that has it, fitted in full.
+
+Wald's test asks how far its size is from nought; the likelihoods of both models, block of time by block of time, ask which
+of them recordings prefer, also where sensitivities change on the way. Neither counts for more than the likelihood rises.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motorlens_workbench.contest.needed import needed_weight
+from motorlens_workbench.evidence.ledger import Ledger, Score, log_chance
+from motorlens_workbench.fitted import Fitted
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+from motorlens_workbench.refit import settled, without_hypothesis
+from motorlens_workbench.standing import Standing, likelier_by_block, summed, unlikely_from
+
+Array = NDArray[np.float64]
+
+
+def own_score(book: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:
+    """What an accepted hypothesis explains, seen from the model that has it (Wald's test); None where it is not told."""
+    key = hypothesis.key
+    if key not in book.keys:
+        return None
+    null = fitted.model.file.meaning(key).null or 0.0
+    size = (fitted.model.values()[key] - null) / fitted.prior.sd[key]
+    others = [other for other in book.keys if not other.startswith(f"{hypothesis.name}.")]
+    free = replace(hypothesis, kind="unnamed", typical=float("inf"))
+    return book.beside(others, {key: size}).score(book.entry_of(key, free, hypothesis.shapes[0]))
+
+
+def held_score(book: Ledger, plain: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:
+    """Of an accepted hypothesis, the weaker of what it explains beside the colour of the noise, and with the noise as white.
+
+    Colour takes away what lasts, white noise believes all of it: what is missing shows either way.
+    """
+    both = [own_score(one, fitted, hypothesis) for one in (book, plain)]
+    told = [score for score in both if score is not None]
+    return min(told, key=lambda score: score.weight) if len(told) == len(both) else None
+
+
+def consistent(won: Array, rise: float) -> float:
+    """Squared ratio of what a model wins over another to how that scatters between blocks of time (B,), at most the rise.
+
+    It needs no linearisation (Vuong 1989, doi:10.2307/1912557), but more evidence than Wald's test where that holds.
+    """
+    if np.sum(won) <= 0:
+        return 0.0
+    told = []
+    for merged in (1, 2, 4):
+        joined = np.add.reduceat(won, np.arange(0, len(won), merged))
+        told.append(float(np.sum(joined) ** 2 / (len(joined) * np.var(joined, ddof=1))))
+    return min(*told, max(rise, 0.0))
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What a name wins in a model that has it.
+
+    Attributes:
+        score: None if it is not told there.
+        needed: the weight that it needs.
+        lacking: the likelier of the model that stands and the one with the name taken out again.
+    """
+
+    score: Score | None
+    needed: float
+    lacking: Fitted
+
+    @property
+    def times(self) -> float:
+        """Its weight in multiples of what it needs."""
+        return self.score.weight / self.needed if self.score else 0.0
+
+
+def worth(here: Standing, one: Score, end: Fitted) -> Worth:
+    """What a name wins in a model that has it over one that has not.
+
+    Raises:
+        ModelError: the model cannot be simulated without it.
+    """
+    book, plain = summed(end)
+    score = held_score(book, plain, end, one.entry.hypothesis)
+    needed = needed_weight(here, (), book.colour)
+    most = here.unlikely - unlikely_from(here, end)
+    if score is None or -log_chance(max(most, 0.0), 1) < needed:
+        return Worth(score and score.winning(most), needed, here.fitted)
+    # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is not
+    # the name's.
+    refitted = without_hypothesis(end, one.name)
+    without = here.fitted if refitted is None else settled(refitted)
+    lacking = min((here.fitted, without), key=lambda fitted: unlikely_from(here, fitted))
+    rise = min(most, unlikely_from(here, lacking) - unlikely_from(here, end))
+    score = score.winning(rise).or_at_least(consistent(likelier_by_block(here, end, lacking), rise))
+    return Worth(score, needed, lacking)
