@@ -30,7 +30,7 @@ class Criteria:
             hypothesis says what: more than colour and slow noise leave in worlds with nothing missing.
     """
 
-    excess: float = 12.0
+    excess: float = 16.0
     unnamed: float = 30.0
     colour: float = 0.0005
     unnamed_colour: float = 0.25

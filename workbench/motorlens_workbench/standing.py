@@ -67,6 +67,12 @@ class Standing:
         """Every shape of every hypothesis."""
         return self.look.scores
 
+    @property
+    def rest(self) -> Score | None:
+        """The term without a name that explains most beside its scatter; None without any."""
+        free = [score for score in self.scores if score.possible and not score.entry.hypothesis.named]
+        return max(free, key=lambda score: score.weight, default=None)
+
 
 def stand(fitted: Fitted, own: Sequence[type[Effect]] = ()) -> Standing:
     """Look at everything from a fitted model.

@@ -8,7 +8,6 @@ import numpy as np
 from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
-from motorlens_physics.estimate.run import Run
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
@@ -68,7 +67,7 @@ def settle(found: Finding) -> Verdict:
     last = outcome.last
     times = times_noise(last.book, last.lines)
     kind, equation = _kind(found, held, groups, times)
-    shape = (outcome.unnamed or _heaviest_unnamed(last)) if kind == "unknown" else None
+    shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
     return Verdict(kind, chosen, tuple(groups), equation, probability, shape, tuple(limits(found, times)))
 
 
@@ -79,8 +78,8 @@ def _kind(found: Finding, held: list, groups: list, times: float) -> tuple[str, 
     if unnamed is not None:
         return "unknown", unnamed.entry.hypothesis.equation
     if not held:
-        heaviest = _heaviest_unnamed(found.outcome.last)
-        if not any(_moves(run) for run in found.runs):
+        heaviest = found.outcome.last.rest
+        if not any(run.moves for run in found.runs):
             return "not_testable", None
         if times > CRITERIA.follows and heaviest is not None:
             return "unknown", heaviest.entry.hypothesis.equation
@@ -93,18 +92,6 @@ def _kind(found: Finding, held: list, groups: list, times: float) -> tuple[str, 
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
-
-
-def _moves(run: Run) -> bool:
-    """Whether anything that was measured changes: what stands still, whatever it shows, tells nothing."""
-    told = [y[there] for y, there in zip(run.measured.T, run.there.T, strict=True)]
-    return any(len(y) > 0 and bool(np.ptp(y) > 0) for y in told)
-
-
-def _heaviest_unnamed(here: Standing) -> Score | None:
-    """The term without a name that explains most beside its scatter; None without any."""
-    free = [score for score in here.scores if score.possible and not score.entry.hypothesis.named]
-    return max(free, key=lambda score: score.weight, default=None)
 
 
 def _names(found: Finding) -> list[str]:

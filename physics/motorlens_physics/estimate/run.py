@@ -129,6 +129,12 @@ class Run:
         return np.asarray(y[: rows * self.every].reshape(rows, self.every, *y.shape[1:]).mean(axis=1))
 
     @property
+    def moves(self) -> bool:
+        """Whether anything that was measured changes: what stands still, whatever it shows, tells nothing."""
+        told = [y[there] for y, there in zip(self.measured.T, self.there.T, strict=True)]
+        return any(len(y) > 0 and bool(np.ptp(y) > 0) for y in told)
+
+    @property
     def coarse(self) -> bool:
         """Whether a channel's converter leans: its noise does not blur its steps."""
         return any(converter.lean > LEANS for converter in self.converters)

@@ -13,15 +13,14 @@ import numpy as np
 
 from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
-from motorlens_workbench.contest.entering import enter
-from motorlens_workbench.contest.needed import beyond_chance, needed_weight, promising
+from motorlens_workbench.contest.entering import enter, enter_anew
+from motorlens_workbench.contest.needed import beyond_chance, follows, needed_weight, promising
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import consistent, held_score
-from motorlens_workbench.evidence.held_out import held_out, noise_of
 from motorlens_workbench.evidence.ledger import Score
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.refit import settled, without_hypothesis
-from motorlens_workbench.standing import Standing, likelier_by_block, stand
+from motorlens_workbench.standing import Standing, likelier_by_block, stand, unlikely_from
 from motorlens_workbench.telling import Progress
 
 # Effects that are looked for at most.
@@ -59,6 +58,8 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     """
     say("weighing every effect, sensor fault and free term")
     first = here = stand(base, own)
+    if not any(run.moves for run in base.runs):
+        return Outcome(first, first, (), (), None, (), {})
     accepted: list[Accepted] = []
     refused: list[str] = []
     pointed: dict[str, None] = {}
@@ -69,12 +70,16 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     while len(accepted) < EFFECTS and entered < 2 * EFFECTS:
         challengers = beyond_chance(here, accepted, refused)
         able = promising(here, refused)
-        if not challengers and not able:
+        if not challengers and not able and (here.rest is None or follows(here)):
             break
         pointed |= dict.fromkeys(one.name for one in challengers)
         if nameless is None and any(not one.named for one in challengers):
             nameless = here, list(accepted)
-        step = enter(here, challengers, able, refused, own, say)
+        if challengers or able:
+            step = enter(here, challengers, able, refused, own, say)
+        else:
+            assert here.rest is not None
+            step = enter_anew(here, here.rest.entry.hypothesis.equation, refused, own, say)
         refused += step.refused
         judged |= {name: max(times, judged.get(name, 0.0)) for name, times in step.judged.items()}
         if step.standing is not None:
@@ -94,11 +99,9 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
 
 
 def _imitate(nameless: Standing, here: Standing) -> bool:
-    """Whether names that entered since explain less of the error than they leave beside noise, and may be a part of that."""
-    noise = noise_of(here.lines)
-    before, after = (held_out(one.book, one.lines) for one in (nameless, here))
-    explained = sum((before[channel] ** 2 - after[channel] ** 2) / noise[channel] ** 2 for channel in noise)
-    return explained < sum((after[channel] / noise[channel]) ** 2 - 1 for channel in noise)
+    """Whether names that entered since explain less than blocks of time agree on of what remains: they may be part of it."""
+    rest = (min(one.won, one.gain / one.score.scatter) for one in here.challengers if not one.named)
+    return nameless.unlikely - unlikely_from(nameless, here.fitted) < max(rest, default=0.0)
 
 
 def _needed(

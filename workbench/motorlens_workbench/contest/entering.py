@@ -7,12 +7,16 @@ from the beginning with each name of the equation: what is missing bends a fit, 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from scipy.special import chdtri
+
 from motorlens_physics.effect import Effect
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import likeliest, posterior, scatter_of
 from motorlens_workbench.contest.needed import follows
 from motorlens_workbench.contest.worth import consistent, worth
+from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.ledger import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.refit import anew, begun, settled, with_hypothesis
@@ -93,20 +97,21 @@ def enter(
     if not (strongest.named if step.standing is None else follows(step.standing)):
         # What is missing has bent the model, and where that ended another name, or none, may help most.
         best = strongest.score.entry.hypothesis if step.accepted is None else step.accepted.hypothesis
-        step = step.then(_anew(here, _about(best.equation), refused, own, say))
+        step = step.then(enter_anew(here, best.equation, refused, own, say))
     if step.standing is None and strongest.named:
         return replace(step, refused=(*step.refused, strongest.name))
     return step
 
 
-def _anew(
+def enter_anew(
     here: Standing,
-    equations: Sequence[str],
+    equation: str,
     refused: Sequence[str],
     own: Sequence[type[Effect]],
     say: Progress,
 ) -> Step:
-    """The likeliest of all names of some equations, with each of which the motor is estimated from the beginning."""
+    """The likeliest of all names about an equation, with each of which the motor is estimated from the beginning."""
+    equations = _about(equation)
     named: dict[str, Score] = {}
     for score in sorted(here.scores, key=lambda score: score.gain):
         hypothesis = score.entry.hypothesis
@@ -123,12 +128,31 @@ def _anew(
     step = Step()
     for one, fitted in made:
         step = step.then(_judged(here, one, (fitted,), own))
-        if step.standing is not None and step.accepted is not None:
-            end = step.standing.fitted
-            won = {two.name: likelier_by_block(here, end, other) for two, other in made if two is not one}
-            beside = {name: -0.5 * consistent(blocks, float("inf")) for name, blocks in won.items()}
-            return replace(step, accepted=replace(step.accepted, beside=beside))
-    return step
+        if step.accepted is not None:
+            break
+    if step.accepted is None or step.standing is None:
+        return step
+    likeliest_end = step.standing.fitted
+    less = {
+        one.name: consistent(likelier_by_block(here, likeliest_end, fitted), np.inf) for one, fitted in made
+    }
+    # Of those that blocks of time do not tell from the likeliest, the one with the fewest parameters.
+    alike = [pair for pair in made if less[pair[0].name] < chdtri(1, 1 - CRITERIA.credible)]
+    for one, fitted in sorted(alike, key=lambda pair: _parameters(pair[1], pair[0].name)):
+        if _parameters(fitted, one.name) < _parameters(likeliest_end, step.accepted.hypothesis.name):
+            simpler = _judged(here, one, (fitted,), own)
+            if simpler.accepted is not None:
+                step = replace(simpler, judged={**step.judged, **simpler.judged})
+                break
+    assert step.accepted is not None
+    least = less.get(step.accepted.hypothesis.name, 0.0)
+    beside = {name: 0.5 * (least - more) for name, more in less.items()}
+    return replace(step, accepted=replace(step.accepted, beside=beside))
+
+
+def _parameters(fitted: Fitted, name: str) -> int:
+    """How many parameters a hypothesis has that are fitted."""
+    return sum(key.startswith(f"{name}.") for key in fitted.prior.keys)
 
 
 def _judged(here: Standing, one: Score, starts: Sequence[Fitted], own: Sequence[type[Effect]]) -> Step:

@@ -63,18 +63,12 @@ def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
     }
 
 
-def noise_of(lines: Sequence[Line]) -> dict[str, float]:
-    """The noise of each channel, no smaller than is believed of a recording."""
+def times_noise(book: Ledger, lines: Sequence[Line]) -> float:
+    """The worst channel's error on blocks held out, over its noise, which is no smaller than is believed of a recording."""
     runs = [line.run for line in lines]
     noise = pooled_floor(lines[0].model, runs)
     for run in runs:
         if run.noise is not None:
             believed = zip(run.channels, np.sqrt(run.noise.floor).tolist(), strict=True)
             noise |= {channel: max(noise[channel], least) for channel, least in believed}
-    return noise
-
-
-def times_noise(book: Ledger, lines: Sequence[Line]) -> float:
-    """The worst channel's error on blocks held out, over its noise."""
-    noise = noise_of(lines)
     return max(error / noise[channel] for channel, error in held_out(book, lines).items())

@@ -17,7 +17,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc, chdtri, gammaln
 
 from motorlens_physics.estimate.innovations import innovations
@@ -224,8 +223,7 @@ class Beside:
     @cached_property
     def inverse(self) -> Array:
         """(q, q); the prior keeps it regular."""
-        total = self.gram.sum(axis=0) + np.diag(self.ledger.belief[self.at])
-        return np.asarray(cho_solve(cho_factor(total), np.eye(len(self.at))))
+        return inverse(self.gram.sum(axis=0) + np.diag(self.ledger.belief[self.at]))
 
     @cached_property
     def moves(self) -> Array:
