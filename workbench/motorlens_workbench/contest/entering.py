@@ -91,7 +91,7 @@ def enter(
         if step.standing is not None:
             # What was missing may have passed for a delay.
             again = anew(step.standing.fitted)
-            if again is not None and unlikely_from(here, again) < step.unlikely:
+            if again is not None and _unlikely(here, again) < step.unlikely:
                 step = step.then(_judged(here, one.score, (again,), own))
             break
     if not (strongest.named if step.standing is None else follows(step.standing)):
@@ -123,8 +123,10 @@ def enter_anew(
         return anew(begun(here.fitted, one))
 
     fits = zip(named.values(), on_all_cores(estimated, list(named.values())), strict=True)
-    made = [(one, fitted) for one, fitted in fits if fitted is not None]
-    made.sort(key=lambda pair: unlikely_from(here, pair[1]))
+    made = [
+        (one, fitted) for one, fitted in fits if fitted is not None and np.isfinite(_unlikely(here, fitted))
+    ]
+    made.sort(key=lambda pair: _unlikely(here, pair[1]))
     step = Step()
     for one, fitted in made:
         step = step.then(_judged(here, one, (fitted,), own))
@@ -148,6 +150,14 @@ def enter_anew(
     least = less.get(step.accepted.hypothesis.name, 0.0)
     beside = {name: 0.5 * (least - more) for name, more in less.items()}
     return replace(step, accepted=replace(step.accepted, beside=beside))
+
+
+def _unlikely(here: Standing, fitted: Fitted) -> float:
+    """See `unlikely_from`; infinite where the model cannot be simulated."""
+    try:
+        return unlikely_from(here, fitted)
+    except ModelError:
+        return float("inf")
 
 
 def _parameters(fitted: Fitted, name: str) -> int:
