@@ -159,7 +159,7 @@ def _shifted(found: Estimate, said: Findings) -> bool:
     of = [keys.index(key) for key in said.untold]
     rest = [keys.index(key) for key in said.told]
     covariance = found.fit.covariance
-    moved = covariance[np.ix_(rest, of)] @ np.linalg.solve(covariance[np.ix_(of, of)], back)
+    moved = covariance[np.ix_(rest, of)] @ inverse(covariance[np.ix_(of, of)]) @ back
     return bool(np.any(np.abs(moved) > MOVES * np.sqrt(np.diagonal(covariance)[rest])))
 
 
