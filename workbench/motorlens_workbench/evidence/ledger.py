@@ -302,6 +302,8 @@ def log_chance(statistic: float, width: int) -> float:
 
 def inverse(gram: Array) -> Array:
     """Of a symmetric matrix; directions of which rounding alone is left count as unknown."""
+    if not len(gram):
+        return gram
     power = np.diagonal(gram)
     scale = np.sqrt(np.where(power > 0, power, 1.0))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
