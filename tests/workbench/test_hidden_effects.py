@@ -20,25 +20,16 @@ from motorlens_runtime.cli import main
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 
-# One of each kind: nothing hidden, two at once, a sensor's fault, an effect, one in no catalogue, and one that is missed.
-# `python benchmarks/hidden_effects.py run --split subset --n 60 --small` does all sixty; the goals of the project are in the
-# benchmark's table.
-HERE = tuple(f"subset-{number:04d}" for number in (5, 20, 30, 35, 40, 55))
-# What is amiss with the answers to these, by case, as last measured. A case that gets worse fails, and so does one that gets
-# better: then its line goes.
+# Every fifth of the sixty runs here; `python benchmarks/hidden_effects.py run --split subset --n 60 --small` does them all.
+# The goals of the project are in the benchmark's table.
+SHARE = 5
+# What is amiss with the answers to these twelve, by case, as last measured. A case that gets worse fails, and so does one
+# that gets better: then its line goes.
 AMISS = {"subset-0055": ["missed", "another name first"]}
 
 
 def _truths() -> list[dict[str, Any]]:
     return [json.loads(line) for line in KEY.read_text(encoding="utf-8").splitlines()]
-
-
-def _those_here() -> list[dict[str, Any]]:
-    return [truth for truth in _truths() if _name(truth) in HERE]
-
-
-def _name(truth: dict[str, Any]) -> str:
-    return str(truth["case"]["id"])
 
 
 def _diagnosed(truth: dict[str, Any], directory: Path) -> scoring.Row:
@@ -99,8 +90,12 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
     assert made.truth["hidden"][0]["size"] == pytest.approx(truths[number]["hidden"][0]["size"], rel=1e-3)
 
 
+def _name(truth: dict[str, Any]) -> str:
+    return str(truth["case"]["id"])
+
+
 @pytest.mark.blind
-@pytest.mark.parametrize("truth", _those_here(), ids=_name)
+@pytest.mark.parametrize("truth", _truths()[::SHARE], ids=_name)
 def test_a_case_never_tuned_on_is_answered_no_worse_and_no_better_than_is_written_here(
     truth: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -109,14 +104,15 @@ def test_a_case_never_tuned_on_is_answered_no_worse_and_no_better_than_is_writte
     assert _amiss(row) == AMISS.get(_name(truth), []), f"{verdict}"
 
 
-def test_they_hold_every_kind_of_case() -> None:
-    rows = [(truth, None, 0.0) for truth in _those_here()]
+def test_the_twelve_hold_every_kind_of_case() -> None:
+    rows = [(truth, None, 0.0) for truth in _truths()[::SHARE]]
     strong = [row for row in rows if scoring.strong(row)]
     fair = [row for row in strong if row[0]["kind"] == "single" and scoring.separable(row)]
-    assert len(rows) == len(HERE) and len(strong) >= 5 and len(fair) >= 2
-    assert {row[0]["kind"] for row in rows} == {"none", "single", "pair", "outside"}
-    assert any(row[0]["kind"] == "outside" for row in strong)
-    assert set(AMISS) <= set(HERE)
+    assert len(strong) >= 6 and len(fair) >= 3
+    assert any(row[0]["kind"] == "outside" for row in strong) and any(
+        row[0]["kind"] == "none" for row in rows
+    )
+    assert set(AMISS) <= {_name(row[0]) for row in rows}
 
 
 def test_wilson_interval_of_published_example() -> None:

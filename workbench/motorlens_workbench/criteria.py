@@ -8,8 +8,8 @@ class Criteria:
     """The numbers.
 
     The first four say when a hypothesis is beyond what recordings show in which nothing is missing, `follows` when the model
-    is (`python benchmarks/null.py --count 60 --seed 1`, and 2, prints how large the largest of them get: all but one of 120
-    worlds stay below, and that one is near standstill at one sample a second). Flips of signs alone would put `excess` and
+    is (`python benchmarks/null.py --count 60 --seed 1`, and 2, prints how large the largest of them get: all but two of 120
+    worlds stay below, and those are near standstill at one sample a second). Flips of signs alone would put `excess` and
     `unnamed` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:

@@ -186,11 +186,10 @@ def of_key(found: Finding, one: Accepted, key: str) -> tuple[float, float]:
     scatter = (seen.scatter if seen else one.scatter) + one.doubt
     variance = float(last.fitted.covariance[keys.index(key), keys.index(key)])
     value, sd = last.fitted.model.values()[key], float(np.sqrt(max(variance, 0.0) * scatter))
-    if key == one.hypothesis.key and one.gain > 0:
+    if key == one.hypothesis.key and one.agreed > 0:
         # Where sensitivities change on the way to null they say less than the fit without it does.
-        sd = min(
-            sd, abs(value - (last.fitted.model.file.meaning(key).null or 0.0)) / float(np.sqrt(one.gain))
-        )
+        null = last.fitted.model.file.meaning(key).null or 0.0
+        sd = min(sd, abs(value - null) / float(np.sqrt(one.agreed)))
     return value, sd
 
 

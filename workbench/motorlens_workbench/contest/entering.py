@@ -182,7 +182,12 @@ def _judged(here: Standing, one: Score, starts: Sequence[Fitted], own: Sequence[
     except ModelError:
         return Step(refused=(one.name,))
     entered = Accepted(
-        one.entry.hypothesis, score.gain / score.scatter, score.scatter, score.weight, one.doubt
+        one.entry.hypothesis,
+        score.gain / score.scatter,
+        score.scatter,
+        score.weight,
+        one.doubt,
+        told.agreed,
     )
     return Step(then, entered, judged=judged, unlikely=unlikely)
 

@@ -63,11 +63,13 @@ class Worth:
         score: None if it is not told there.
         needed: the weight that it needs.
         lacking: the likelier of the model that stands and the one with the name taken out again.
+        agreed: squared ratio to which blocks of time agree on the name, where that tells more than Wald's test; else 0.
     """
 
     score: Score | None
     needed: float
     lacking: Fitted
+    agreed: float = 0.0
 
     @property
     def times(self) -> float:
@@ -93,5 +95,6 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     without = here.fitted if refitted is None else settled(refitted)
     lacking = min((here.fitted, without), key=lambda fitted: unlikely_from(here, fitted))
     rise = min(most, unlikely_from(here, lacking) - unlikely_from(here, end))
-    score = score.winning(rise).or_at_least(consistent(likelier_by_block(here, end, lacking), rise))
-    return Worth(score, needed, lacking)
+    held, agreed = score.winning(rise), consistent(likelier_by_block(here, end, lacking), rise)
+    more = agreed > held.gain / held.scatter
+    return Worth(held.or_at_least(agreed), needed, lacking, agreed if more else 0.0)
