@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.headings import unit_text
+from motorlens_runtime.files.numbered import names_by_number, without_numbers
 from motorlens_runtime.files.units import in_heading
 
 # A beginning of this length shows the heading and enough rows.
@@ -196,10 +197,14 @@ def _writing(lines: Sequence[str]) -> tuple[str, str, int, int]:
 
 
 def _headings(above: Sequence[str], separator: str, decimal: str, width: int) -> tuple[str, ...] | None:
-    """The last line above the numbers that has a name for each column, with the units below it; None if there is none.
+    """What lines above the numbers say of each column by its number, or the last line that has a name for each, with the
+    units below it; None if there is neither.
 
     Where no line of words fits, the last that is no comment is returned as it stands.
     """
+    numbered = names_by_number(above, width)
+    if numbered is not None:
+        return numbered
     rows = []
     for line in above:
         bare = re.sub(r"^\s*(#|%|//|!|\*)+\s*", "", line.lstrip("\ufeff")) if is_comment(line) else line
@@ -218,7 +223,7 @@ def _headings(above: Sequence[str], separator: str, decimal: str, width: int) ->
     last = fitting[-1]
     if len(fitting) > 1 and _are_units(last) and not _are_units(fitting[-2]):
         return tuple(_with_unit(*both) for both in zip(fitting[-2], last, strict=True))
-    return tuple(last)
+    return without_numbers(last)
 
 
 def _are_units(cells: Sequence[str]) -> bool:
