@@ -25,7 +25,7 @@ from motorlens_physics.motor import Motor  # noqa: E402
 from motorlens_physics.motor_file import MotorFile  # noqa: E402
 from motorlens_physics.parameter import Rated  # noqa: E402
 from motorlens_physics.recording import Recording  # noqa: E402
-from motorlens_workbench.comparison import compare  # noqa: E402
+from motorlens_workbench.compare.comparison import compare  # noqa: E402
 
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],

@@ -12,7 +12,8 @@ ROWS = "0.001 6.0 0.25\n0.002 6.0 0.5\n"
 WRITTEN = {
     "a line each": "# column 1: time [s]\n# column 2: voltage [V]\n# column 3: current [A]\n",
     "from zero": "% 0 = time_s\n% 1 = voltage_V\n% 2 = current_A\n",
-    "in brackets, with words before and after": "Test stand 3 of 2026 11 23\n[1] time (s)\n[2] voltage (V)\n[3] current (A)\nrun 7 begins\n",
+    "in brackets, with words before and after": "Test stand 3 of 2026 11 23\n[1] time (s)\n[2] voltage (V)\n"
+    "[3] current (A)\nrun 7 begins\n",
     "two in a line": "# 1 time 0.000 sec\n# 2 3 Motor voltage, current [V,A]: 6.0 0.1\n",
     "a heading that counts": "# 1:time_s 2:voltage_V 3:current_A\n",
 }  # fmt: skip

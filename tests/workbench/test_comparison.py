@@ -21,7 +21,7 @@ from motorlens_physics.recording import Recording, read_recording, write_recordi
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.balances import lowpass
-from motorlens_workbench.comparison import compare
+from motorlens_workbench.compare.comparison import compare
 from motorlens_workbench.report.comparison import to_html, to_json
 from motorlens_workbench.report.page import Page, Section
 from motorlens_workbench.report.pictures import Axes, Line, packed, time_plots
@@ -241,6 +241,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert {"unit", "rmse", "nrmse_percent", "bias", "max", "noise_floor"} == set(
         document["channels"]["speed"]
     )
+    half = document["half_of_the_error"]
+    assert half["channel"] in document["channels"] and 0 <= half["start_s"] < half["stop_s"] <= 30.0
     assert {"speed", "current", "rms_in_sigma", "samples"} == set(document["regions"][0])
     assert (tmp_path / "c.html").stat().st_size > 300_000
     assert main([*arguments[:2], "--motor", str(tmp_path / "none.toml")]) == 1

@@ -9,7 +9,7 @@ from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.cli import main
 from motorlens_workbench import long_recordings
-from motorlens_workbench.comparison import compare
+from motorlens_workbench.compare.comparison import compare
 from motorlens_workbench.report.comparison import to_json, to_text
 
 MODEL = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"

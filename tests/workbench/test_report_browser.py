@@ -81,6 +81,7 @@ def test_zoomed_to_20_ms_the_plots_are_what_the_csv_says(browser, report):
 
 def test_axes_are_linked(browser, report):
     with opened(browser, report.as_uri()) as page:
+        page.locator(".u-over").nth(2).scroll_into_view_if_needed()
         box = page.locator(".u-over").nth(2).bounding_box()
         page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 20)
         page.mouse.down()
@@ -127,7 +128,8 @@ def test_one_pixel_of_the_map(browser, report, scheme):
 
 def test_a_click_on_a_region_a_cell_and_an_equation_marks_their_samples(browser, report):
     with (report.parent / "bench.csv").open() as file:
-        speeds = [float(row["speed_rad_s"]) for row in csv.DictReader(file)]
+        rows = list(csv.DictReader(file))
+    speeds, times = ([float(row[name]) for row in rows] for name in ("speed_rad_s", "time_s"))
     with opened(browser, report.as_uri()) as page:
         marked = page.locator(".marked")
         assert not marked.is_visible()
@@ -150,6 +152,12 @@ def test_a_click_on_a_region_a_cell_and_an_equation_marks_their_samples(browser,
         page.get_by_role("button", name="mechanical", exact=True).click()
         tenth = int(re.search(r"(\d+) samples", marked.inner_text())[1])
         assert tenth == pytest.approx(len(speeds) / 10, rel=0.02)
+        # The stretch of time that holds half of the error, as its button says it.
+        when = page.get_by_role("button", name=re.compile("^half of the squared error"))
+        when.click()
+        start, stop = map(float, re.search(r"([\d.]+) to ([\d.]+) s$", when.inner_text()).groups())
+        count = int(re.search(r"(\d+) samples in 1 stretch\b", marked.inner_text())[1])
+        assert count == pytest.approx(sum(start <= time <= stop for time in times), abs=3)
         page.get_by_role("button", name="Mark no samples").click()
         assert not marked.is_visible()
 

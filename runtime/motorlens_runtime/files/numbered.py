@@ -15,7 +15,8 @@ from collections.abc import Sequence
 from motorlens_runtime.files.units import in_heading
 
 _LINE = re.compile(
-    r"\W*(?:(?:column|col|channel|field|spalte|kanal)s?\b\W*)?(\d+(?:[\s,&]+\d+)*)\s*[\])}.:=-]*\s+(.*\S)", re.IGNORECASE
+    r"\W*(?:(?:column|col|channel|field|spalte|kanal)s?\b\W*)?(\d+(?:[\s,&]+\d+)*)\s*[\])}.:=-]*\s+(.*\S)",
+    re.IGNORECASE,
 )
 _VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 # The values of the moment at which the preamble was written, and perhaps their unit: `time 0.000 sec`.

@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.command_inputs import input_words, inputs_from, print_notes
-    from motorlens_workbench.comparison import compare
-    from motorlens_workbench.long_recordings import is_long
+    from motorlens_workbench.compare.comparison import compare
+    from motorlens_workbench.compare.long_recordings import is_long
     from motorlens_workbench.report.comparison import to_html, to_json, to_text
     from motorlens_workbench.report.page import write
 

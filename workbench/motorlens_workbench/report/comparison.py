@@ -1,6 +1,6 @@
 """What `compare` found: as JSON, as a table for the terminal, and as a page."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -10,10 +10,23 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_physics.scenario import time_constants
 from motorlens_workbench.balances import EQUATIONS
-from motorlens_workbench.comparison import Comparison, remark
+from motorlens_workbench.compare.comparison import Comparison
+from motorlens_workbench.compare.equations import remark
+from motorlens_workbench.compare.where import Region
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Page, Section, significant, unit_text
-from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Samples, Table, cloud, curves
+from motorlens_workbench.report.pictures import (
+    Bar,
+    Bars,
+    Cell,
+    Fact,
+    Grid,
+    Plot,
+    Samples,
+    Table,
+    cloud,
+    curves,
+)
 
 # Error in multiples of the noise at which the next colour of the map begins: 1 is as good as can be, and from 100 on the
 # model is of no use there. Fixed, so that maps can be compared.
@@ -26,8 +39,7 @@ def verdict(found: Comparison) -> str:
     """One sentence: how good the model is, and where it fails."""
     worst = found.worst
     channel = found.channels[worst]
-    times = significant(float(f"{channel.times_noise:.2g}"))
-    size = f"{significant(channel.rmse)} {unit_text(channel.unit)} rms in {worst}, {times} times its noise"
+    size = f"{significant(channel.rmse)} {unit_text(channel.unit)} rms in {worst}, {_times(channel.times_noise)} its noise"
     if found.follows:
         return f"The model follows these recordings to their noise ({size})."
     named = [name for name, equation in found.equations.items() if equation.testable and equation.share > 0]
@@ -73,6 +85,7 @@ def to_json(found: Comparison, recordings: Sequence[str], motor: str) -> dict[st
             }
             for name, r in found.regions.items()
         },
+        "half_of_the_error": vars(found.half),
         "time_scales": {channel: dict(bands) for channel, bands in found.bands.items()},
         "notes": list(found.notes),
         "orders": [{"order": order, "amplitude_rad_s": amplitude} for order, amplitude in found.orders],
@@ -97,7 +110,11 @@ def to_text(found: Comparison) -> str:
         note = f"not testable: {e.why}" if e.why else remark(name, found.overlays)
         rows.append(f"{name:14}{share:>8}{e.rms:12.4g} {e.unit:4} {note}".rstrip())
     rows += ["", f"{'where':18}{'error, x noise':>16}{'samples':>10}"]
-    rows += [f"{name:18}{r.rms_in_sigma:16.2f}{r.samples:10d}" for name, r in found.regions.items()]
+    rows += [
+        f"{name:18}{significant(r.rms_in_sigma, 3):>16}{r.samples:10d}" for name, r in found.regions.items()
+    ]
+    if not found.follows:
+        rows.append(_when(found) + ".")
     rows += [
         "",
         f"{'time scale':14}" + "".join(f"{band:>12}" for band in ("thermal", "mechanical", "electrical")),
@@ -126,7 +143,55 @@ def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: s
         Section("At which time scale", _band_content(found)),
         Section("Numbers", [_channel_table(found)]),
     ]
-    return Page(f"motorlens compare: {found.file.name}", verdict(found), summary, sections, [command])
+    title = f"motorlens compare: {found.file.name}"
+    return Page(title, verdict(found), summary, sections, [command], facts=_facts(found))
+
+
+def _facts(found: Comparison) -> list[Fact]:
+    """What an engineer asks first: how far off, in which equation, where, when, and at which pace."""
+    sizes = [
+        f"{name} {significant(c.rmse)} {unit_text(c.unit)} ({_times(c.times_noise)} the noise)"
+        for name, c in sorted(found.channels.items(), key=lambda pair: -pair[1].times_noise)
+    ]
+    facts = [Fact("Error, rms", ", ".join(sizes))]
+    if found.follows:
+        return facts
+    tested = {name: e.share for name, e in found.equations.items() if e.testable}
+    if any(tested.values()):
+        shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in _falling(tested))
+        facts.append(Fact("Equation", f"{shares} of what is lacking"))
+    moving = {name: r.rms_in_sigma for name, r in found.regions.items() if "speed" in r.within}
+    if moving:
+        (worst, times), *others = _falling(moving)
+        beside = "; ".join(f"{name} {_times(value)}" for name, value in others)
+        text = f"{worst}, {_times(times)} the noise" + (f" ({beside})" if beside else "")
+        facts.append(Fact("Where", text, Samples(worst, found.regions[worst].within)))
+    half = found.half
+    within = {"time": (half.start_s, half.stop_s)}
+    samples = Samples(f"half of the error of {half.channel}", within, recording=half.recording)
+    facts.append(Fact("When", _when(found), samples))
+    (scale, share), *_ = _falling(found.bands[found.worst])
+    seconds = significant(getattr(time_constants(found.file.motor), f"{scale}_s"), 2)
+    text = f"{100 * share:.0f} % of it is at the pace of the {scale} time constant, {seconds} s"
+    facts.append(Fact("Time scale", text))
+    return facts
+
+
+def _falling(values: Mapping[str, float]) -> list[tuple[str, float]]:
+    return sorted(values.items(), key=lambda pair: -pair[1])
+
+
+def _times(value: float) -> str:
+    return f"{significant(float(f'{value:.2g}'))} times"
+
+
+def _when(found: Comparison) -> str:
+    half = found.half
+    of = f" of {half.recording}" if len(found.overlays) > 1 else ""
+    return (
+        f"half of the squared error of {half.channel} lies in {significant(100 * half.share, 2)} % of the time{of}: "
+        f"{significant(half.start_s)} to {significant(half.stop_s)} s"
+    )
 
 
 def _overlays(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
@@ -165,7 +230,12 @@ def _equation_content(found: Comparison) -> list[str | Table | Bars | Grid | Plo
 
 def _region_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
     bars = [
-        Bar(f"{name} ({r.samples} samples)", r.rms_in_sigma, "predicted", Samples(name, r.within))
+        Bar(
+            f"{_region(name, r, found)} ({r.samples} samples)",
+            r.rms_in_sigma,
+            "predicted",
+            Samples(name, r.within),
+        )
         for name, r in found.regions.items()
     ]
     content: list[str | Table | Bars | Grid | Plot] = [
@@ -174,6 +244,15 @@ def _region_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]
     if found.map:
         content.append(_map(found))
     return content
+
+
+def _region(name: str, region: Region, found: Comparison) -> str:
+    """A third by temperature says how warm; one that was not measured, that it is the model's own."""
+    if "temperature" not in region.within:
+        return name
+    low, high = region.within["temperature"]
+    simulated = "" if "temperature" in found.channels else ", simulated"
+    return f"{name}, {significant(low)} to {significant(high)} °C{simulated}"
 
 
 def _map(found: Comparison) -> Grid:
@@ -213,8 +292,12 @@ def _band_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
     bands = [o.band_Hz for o in found.overlays]
     at = np.geomspace(min(low for low, _ in bands), max(high for _, high in bands), POINTS)
     roles = {"current": "predicted", "speed": "lacking", "temperature": "measured"}
+    several = len(found.overlays) > 1
     lines = {
-        f"{o.run.name}: {channel}": (roles[channel], _cumulative(at, *o.spectrum(channel)))
+        (f"{o.run.name}: {channel}" if several else channel): (
+            roles[channel],
+            _cumulative(at, *o.spectrum(channel)),
+        )
         for o in found.overlays
         for channel in o.run.channels
     }

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from motorlens_runtime.web import asset, style
-from motorlens_workbench.report.pictures import Bars, Grid, Plot, Samples, Table, packed
+from motorlens_workbench.report.pictures import Bars, Fact, Grid, Plot, Samples, Table, packed
 from motorlens_workbench.report.thinning import BUDGET_OCTETS, within
 
 SCRIPTS = (
@@ -41,6 +41,7 @@ class Page:
     Attributes:
         title: a small line above the verdict.
         verdict: the one sentence that matters.
+        facts: what a reader wants to know first.
         summary: what follows from it, a paragraph each, the first `SHOWN` in sight.
         sections: pictures and numbers.
         commands: what to type to get this page again.
@@ -53,6 +54,7 @@ class Page:
     sections: Sequence[Section]
     commands: Sequence[str]
     budget_octets: float = BUDGET_OCTETS
+    facts: Sequence[Fact] = ()
 
     def __iter__(self) -> Iterator[str]:
         yield '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -61,6 +63,7 @@ class Page:
         yield from (asset(*name).decode() for name in STYLES)
         yield f'</style></head>\n<body><main class="report"><h1>{_text(self.title)}</h1>\n'
         yield f'<p class="verdict">{_text(self.verdict)}</p>\n'
+        yield from _facts(self.facts)
         yield from _paragraphs(self.summary)
         plots = within(
             [item for s in self.sections for item in s.content if isinstance(item, Plot)], self.budget_octets
@@ -82,6 +85,15 @@ class Page:
         yield from _data(plots)
         yield from (f"<script>{asset(*name).decode()}</script>\n" for name in SCRIPTS)
         yield '<script>new Scene(document.querySelector("main"), document);</script></body></html>\n'
+
+
+def _facts(facts: Sequence[Fact]) -> Iterator[str]:
+    if not facts:
+        return
+    yield '<dl class="facts">\n'
+    for fact in facts:
+        yield f"<div><dt>{_text(fact.about)}</dt><dd>{_button(_text(fact.text), fact.samples)}</dd></div>\n"
+    yield "</dl>\n"
 
 
 def _paragraphs(summary: Sequence[str]) -> Iterator[str]:
@@ -116,18 +128,18 @@ def write(page: Page, path: Path | str, *, every_sample: bool = False) -> None:
         file.writelines(replace(page, budget_octets=math.inf) if every_sample else page)
 
 
-def significant(value: Any) -> str:
-    """A number with four significant digits, anything else as it is.
+def significant(value: Any, digits: int = 4) -> str:
+    """A number with so many significant digits, anything else as it is.
 
-    >>> significant(130.04), significant(0.00001234), significant(True), significant(123456.7)
-    ('130', '1.234e-05', 'True', '123500')
+    >>> significant(130.04), significant(0.00001234), significant(True), significant(123456.7), significant(1446.9, 3)
+    ('130', '1.234e-05', 'True', '123500', '1450')
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
         return str(value)
     if isinstance(value, int | np.integer):
         return f"{value:d}"
-    short = float(f"{value:.4g}") + 0.0  # no -0
-    return f"{short:.0f}" if 1e3 <= abs(short) < 1e7 and short == int(short) else f"{short:.4g}"
+    short = float(f"{value:.{digits}g}") + 0.0  # no -0
+    return f"{short:.0f}" if 1e3 <= abs(short) < 1e7 and short == int(short) else f"{short:.{digits}g}"
 
 
 def unit_text(unit: str) -> str:
@@ -181,7 +193,7 @@ def _bars(item: Bars) -> str:
         )
         name = _button(_text(bar.name), bar.samples)
         rows.append(
-            f'<tr><th scope="row">{name}</th><td class="bar">{drawn}</td><td>{_text(f"{bar.value:.3g}")}</td></tr>'
+            f'<tr><th scope="row">{name}</th><td class="bar">{drawn}</td><td>{_text(significant(bar.value, 3))}</td></tr>'
         )
     unit = f", {unit_text(item.unit)}" if item.unit else ""
     return (

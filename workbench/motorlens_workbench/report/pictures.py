@@ -27,19 +27,31 @@ class Samples:
 
     Attributes:
         label: what they are called.
-        within: state -> range; all of them hold.
+        within: state, or `time` -> range; all of them hold.
         lacks: an equation; the tenth of the samples at which it lacks most.
+        recording: of which recording; empty is all.
     """
 
     label: str
     within: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     lacks: str = ""
+    recording: str = ""
 
     def to_json(self) -> str:
         """For the script of the page."""
         return json.dumps(
-            {"label": self.label, "within": {q: list(span) for q, span in self.within.items()}, "lacks": self.lacks}
+            {"label": self.label, "within": {q: list(span) for q, span in self.within.items()}, "lacks": self.lacks,
+             "recording": self.recording}
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Fact:
+    """What stands at the head of a report: what it is about, and a line about it."""
+
+    about: str
+    text: str
+    samples: Samples | None = None
 
 
 @dataclass(frozen=True)

@@ -204,7 +204,7 @@ class TimePlots {
   }
 
   state(name) {
-    return this.spec.states[name] && this.column(this.spec.states[name]);
+    return name === "time" ? this.time : this.spec.states[name] && this.column(this.spec.states[name]);
   }
 
   lacks(equation) {
@@ -296,6 +296,7 @@ class TimePlots {
       const values = this.state(name), slack = 1e-6 * Math.max(Math.abs(low), Math.abs(high)); // float32 at the border
       if (values) test.push(k => values[k] >= low - slack && values[k] <= high + slack);
     }
+    if (what.recording && what.recording !== this.spec.name) test.push(() => false);
     const lacking = what.lacks && this.lacks(what.lacks);
     if (what.lacks) test.push(lacking ? k => Math.abs(lacking[k]) >= least : () => false);
     this.spans = [];

@@ -1,0 +1,1 @@
+"""What `motorlens compare` computes: a motor file beside recordings, how far it is off, and where."""
