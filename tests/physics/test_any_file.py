@@ -323,6 +323,20 @@ def test_a_reversed_sensor_is_suspected(tmp_path, sign, which):
     assert not any("reversed" in note for note in read(tmp_path, PLAIN).notes)
 
 
+def test_the_voltage_of_a_supply_is_suspected_where_the_motor_stands_still_under_it(tmp_path):
+    """Behind a speed controller the voltage stays when the motor is off; at its own terminals it would drive v / R."""
+    on = TIME < 0.3
+    supply = (TIME, np.where(on, 37.0, 38.0), 20.0 * on, 270.0 * on)
+    said = "the voltage stays at 38 V while no current flows"
+    assert any(said in note for note in read(tmp_path, text(supply)).notes)
+    # Switched off itself, held by stiction below half of the voltage, or without a current on record: nothing is said.
+    for voltage in (np.where(on, 37.0, 0.0), np.where(on, 37.0, 5.0)):
+        assert not any(
+            "the voltage stays" in note for note in read(tmp_path, text((TIME, voltage, *supply[2:]))).notes
+        )
+    assert not any("the voltage stays" in note for note in read(tmp_path, PLAIN).notes)
+
+
 def test_matlab_files_are_read_by_channel(tmp_path):
     io = pytest.importorskip("scipy.io")
     run = {"time_s": TIME, "voltage_V": VOLTAGE, "current_mA": 1000 * CURRENT, "note": "bench 3"}

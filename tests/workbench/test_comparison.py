@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from motorlens_physics.effect import catalogue
 from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
 from motorlens_physics.parameter import Rated
-from motorlens_physics.recording import Recording, read_recording, write_recording
+from motorlens_physics.recording import Recording, read_recording, under, write_recording
 from motorlens_runtime.cli import main
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.balances import lowpass
@@ -164,6 +164,17 @@ def test_absent_channels_are_said_in_words() -> None:
     inputs_only = Recording("in.csv", whole.time_s, {"voltage": whole.channels["voltage"]})
     with pytest.raises(DataError, match=r"in\.csv: only inputs are recorded"):
         compare(SERVO, [inputs_only])
+
+
+def test_imposed_current_and_speed_leave_the_heat_to_be_tested() -> None:
+    """Behind a speed controller the voltage on record is not the motor's: of what is imposed no equation is tested."""
+    recording = under(bench(*MISSING["thermal"]), "current", "turned")
+    found = compare(
+        SERVO, [replace(recording, channels={**recording.channels, "voltage": np.full(len(recording), 24.0)})]
+    )
+    assert set(found.channels) == {"temperature"} and not found.follows
+    assert "imposed" in found.equations["electrical"].why and "imposed" in found.equations["mechanical"].why
+    assert found.equations["thermal"].testable and found.equations["thermal"].share == pytest.approx(1.0)
 
 
 def test_several_recordings_are_pooled() -> None:

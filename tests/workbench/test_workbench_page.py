@@ -123,7 +123,9 @@ def simulate(duration="10", rate="100"):
 def test_steps_are_the_commands_that_are_shown(bench, capsys):
     simulate()
     choice = bench.json("/choice")
-    assert choice["motors"] == [{"name": "motor.toml", "parts": []}] and choice["recordings"] == ["bench.csv"]
+    assert choice["motors"] == [{"name": "motor.toml", "parts": [], "stated": []}] and choice[
+        "recordings"
+    ] == ["bench.csv"]
 
     step, before = bench.take(kind="compare")
     assert step["command"] == "motorlens compare bench.csv --motor motor.toml"

@@ -16,6 +16,8 @@ _EXPLAINED, _SURE = 0.5, 5.0
 COLDEST_C, HOTTEST_C = -100.0, 400.0
 # So many rows show a sign, or a time constant.
 _ROWS = 50_000
+# A motor stands still without a current below this share of the largest speed and current.
+_STILL = 0.02
 # Time constants with which the speed of a motor follows its voltage, s: a coreless one of a few grams takes 1 ms or more,
 # one of kilowatts with its load a second or two. Milliseconds for seconds are a factor of a thousand.
 _FASTEST_S, _SLOWEST_S = 3e-4, 10.0
@@ -93,7 +95,25 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                 notes.append(
                     f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
                 )
-    return notes + signs(channels) + pace(time, channels)
+    return notes + standstill(channels) + signs(channels) + pace(time, channels)
+
+
+def standstill(channels: Mapping[str, Array]) -> list[str]:
+    """Whether a voltage stands while no current flows and nothing turns: at a motor's terminals it drives v / R."""
+    if not {"voltage", "current", "speed"} <= set(channels):
+        return []
+    v, i, w = (np.abs(np.nan_to_num(channels[q])) for q in ("voltage", "current", "speed"))
+    if not (v.max() and i.max() and w.max()):
+        return []
+    still = (i < _STILL * i.max()) & (w < _STILL * w.max())
+    at_rest = still & (v > 0.5 * v.max())
+    # A few samples are the beginning of a step, before the current has risen.
+    if at_rest.sum() < max(_STILL * len(v), 20) or at_rest.sum() < 0.5 * still.sum():
+        return []
+    return [
+        f"the voltage stays at {np.median(v[at_rest]):.3g} V while no current flows and nothing turns: that of a supply, or "
+        "before a speed controller, and not the motor's? --terminal current --shaft turned looks at its heat alone"
+    ]
 
 
 def pace(time: Array, channels: Mapping[str, Array]) -> list[str]:

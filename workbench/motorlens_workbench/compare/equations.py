@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.run import prepare
 from motorlens_physics.recording import Recording
@@ -113,6 +114,14 @@ def _removable(
 def _untestable(name: str, overlays: Sequence[Overlay]) -> str:
     """Why an equation cannot be tested on its own; empty if it can."""
     channels = {channel for o in overlays for channel in o.run.channels}
+    imposed = {
+        "current": all(_throughout(o.run.inputs.terminal, Terminal.CURRENT) for o in overlays),
+        "speed": all(_throughout(o.run.inputs.shaft, Shaft.TURNED) for o in overlays),
+    }
+    if name == "electrical" and imposed["current"]:
+        return "the current is imposed, and the voltage is what that takes"
+    if name == "mechanical" and imposed["speed"]:
+        return "the speed is imposed, and the torque is what that takes"
     needed = {
         "electrical": ("current", "speed"),
         "mechanical": ("current", "speed"),
@@ -121,9 +130,13 @@ def _untestable(name: str, overlays: Sequence[Overlay]) -> str:
     absent = [channel for channel in needed if channel not in channels]
     if absent:
         return f"{' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} not measured"
-    if name == "thermal" and "current" not in channels:
+    if name == "thermal" and "current" not in channels and not imposed["current"]:
         return "current is not measured"
     return ""
+
+
+def _throughout(tied: NDArray[np.int64] | None, to: int) -> bool:
+    return tied is not None and bool(np.all(tied == to))
 
 
 def remark(name: str, overlays: Sequence[Overlay]) -> str:

@@ -95,17 +95,20 @@ def _region(within: Mapping[str, tuple[float, float]], error: Array) -> Region:
 
 def regions_of(overlays: Sequence[Overlay], error: Array) -> dict[str, Region]:
     """Parts of the operating range that have a name; `error` is of all samples, see `pooled_error`."""
-    speed, temperature = _pooled(overlays, "speed"), _pooled(overlays, "temperature")
+    speed = _pooled(overlays, "speed")
     slow = STANDSTILL * float(np.abs(speed).max())
-    third, two_thirds = np.percentile(temperature, (33.3, 66.7))
-    low, high = float(temperature.min()), float(temperature.max())
     named = {
         "forwards": ({"speed": (slow, float(speed.max()))}, speed > slow),
         "backwards": ({"speed": (float(speed.min()), -slow)}, speed < -slow),
         "near standstill": ({"speed": (-slow, slow)}, np.abs(speed) <= slow),
-        "coldest third": ({"temperature": (low, float(third))}, temperature <= third),
-        "warmest third": ({"temperature": (float(two_thirds), high)}, temperature >= two_thirds),
     }
+    # By the winding's temperature only where that was measured: the model's own is as doubtful as the model.
+    if all("temperature" in o.run.channels for o in overlays):
+        temperature = _pooled(overlays, "temperature")
+        third, two_thirds = np.percentile(temperature, (33.3, 66.7))
+        cold, warm = (float(temperature.min()), float(third)), (float(two_thirds), float(temperature.max()))
+        named["coldest third"] = {"temperature": cold}, temperature <= third
+        named["warmest third"] = {"temperature": warm}, temperature >= two_thirds
     return {
         name: _region(within, error[rows]) for name, (within, rows) in named.items() if rows.sum() >= FEWEST
     }

@@ -231,7 +231,7 @@ def _equation_content(found: Comparison) -> list[str | Table | Bars | Grid | Plo
 def _region_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]:
     bars = [
         Bar(
-            f"{_region(name, r, found)} ({r.samples} samples)",
+            f"{_region(name, r)} ({r.samples} samples)",
             r.rms_in_sigma,
             "predicted",
             Samples(name, r.within),
@@ -246,13 +246,12 @@ def _region_content(found: Comparison) -> list[str | Table | Bars | Grid | Plot]
     return content
 
 
-def _region(name: str, region: Region, found: Comparison) -> str:
-    """A third by temperature says how warm; one that was not measured, that it is the model's own."""
+def _region(name: str, region: Region) -> str:
+    """A third by temperature says how warm that is."""
     if "temperature" not in region.within:
         return name
     low, high = region.within["temperature"]
-    simulated = "" if "temperature" in found.channels else ", simulated"
-    return f"{name}, {significant(low)} to {significant(high)} °C{simulated}"
+    return f"{name}, {significant(low, 3)} to {significant(high, 3)} °C"
 
 
 def _map(found: Comparison) -> Grid:

@@ -1,5 +1,6 @@
 """The diagnosis as JSON (schema motorlens.diagnose/1) and as text."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -17,6 +18,7 @@ from motorlens_workbench.hypotheses.contact import Contact
 from motorlens_workbench.hypotheses.courses import Course
 from motorlens_workbench.hypotheses.dead_channels import DeadChannel
 from motorlens_workbench.hypotheses.memory import Memory
+from motorlens_workbench.report.page import unit_text
 from motorlens_workbench.verdict import Verdict, detectable, measured, seen_named, sizes
 
 SHOWN = 12
@@ -205,7 +207,8 @@ def to_text(document: Mapping[str, Any]) -> str:
     elif document["chosen"]:
         rows += [
             "",
-            f"Next: motorlens add {document['chosen'][0]} RECORDINGS --motor {document['motor']} -o better.toml",
+            f"Next: motorlens add {document['chosen'][0]} --motor {shlex.quote(document['motor'])} --fit "
+            f"{shlex.join(document['recordings'])} -o better.toml, with the options of this command",
         ]
     return "\n".join(rows)
 
@@ -233,5 +236,4 @@ def least_text(entry: Mapping[str, Any]) -> str:
 
 def _unit(size: Mapping[str, Any]) -> str:
     """As a table has it: a pure number has none."""
-    unit = str(size["unit"])
-    return "" if unit == "1" else unit
+    return unit_text(str(size["unit"]))

@@ -9,7 +9,7 @@ from motorlens_physics.estimate.run import UNIT_OF, prepare_all
 from motorlens_physics.recording import Recording
 from motorlens_workbench.ladder import Ladder
 from motorlens_workbench.report.overlay import overlay
-from motorlens_workbench.report.page import Page, Section
+from motorlens_workbench.report.page import Page, Section, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Grid, Plot, Table
 
 
@@ -85,7 +85,7 @@ def to_text(document: dict[str, Any]) -> str:
     rows += ["", f"{'parameter':<34}{'value':>14}{'sd':>12}"]
     for key, entry in document["parameters"].items():
         spread = f"{entry['sd']:>12.2g}" if entry["sd"] is not None else " " * 12
-        rows.append(f"{key:<34}{entry['value']:>14.5g}{spread} {entry['unit']}")
+        rows.append(f"{key:<34}{entry['value']:>14.5g}{spread} {unit_text(entry['unit'])}".rstrip())
     return "\n".join(rows)
 
 
@@ -106,7 +106,7 @@ def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = (
         bars.append(Bars(f"Error of {c}, rms", UNIT_OF.get(c, ""), rows))
     bars.append("On blocks of time that the parameters were not fitted to, taken from all operating regions.")
     rows_ = [
-        [key, e["value"], "" if e["sd"] is None else e["sd"], e["unit"]]
+        [key, e["value"], "" if e["sd"] is None else e["sd"], unit_text(e["unit"])]
         for key, e in document["parameters"].items()
     ]
     sections = [Section("The error falls" if document["supported"] else "The error", bars)]

@@ -62,8 +62,8 @@ const Files = {
     $("voltage_commanded").checked = chosen.voltage_commanded;
     for (const id of ["terminal", "shaft"]) $(id).value = chosen[id];
     if (conditions(chosen)) $("conditions").open = true; // what is not as usual is seen
-    const present = this.parts();
-    $("parts").textContent = present.length ? `textbook + ${present.map(words).join(" + ")}` : "the textbook motor, no effects";
+    const stated = this.stated(), present = this.parts().filter(name => !stated.includes(name));
+    $("parts").textContent = (present.length ? `textbook + ${present.map(words).join(" + ")}` : "the textbook motor, no effects") + (stated.length ? `; stated, never fitted: ${stated.map(words).join(", ")}` : "");
     $("motor-file").hidden = !chosen.motor;
     $("motor-file").href = `/file?name=${encodeURIComponent(chosen.motor)}`;
     $("motor-file").download = chosen.motor.split("/").pop();
@@ -146,6 +146,11 @@ const Files = {
 
   parts() {
     return this.there?.motors.find(motor => motor.name === this.chosen.motor)?.parts || [];
+  },
+
+  // Those of the parts of which every value is stated, such as that a commanded voltage has no sensor.
+  stated() {
+    return this.there?.motors.find(motor => motor.name === this.chosen.motor)?.stated || [];
   },
 
   undoable() {

@@ -115,7 +115,7 @@ function showParts() {
     put("h3", $("present"), "In the motor file now");
     const list = put("ul", $("present"));
     for (const name of present) {
-      const item = put("li", list, words(name));
+      const item = put("li", list, words(name) + (Files.stated().includes(name) ? " (stated, never fitted)" : ""));
       const button = press(item, "Remove", `Remove ${words(name)}`, () => take(change("remove", name, free(`${stem()}_without_${name}`))));
       button.classList.add("run");
     }

@@ -78,7 +78,7 @@ class WorkbenchPage:
         shelf = self._session.shelf
         return {
             "schema": "motorlens.workbench/1", "folder": shelf.folder, "recordings": shelf.recordings(),
-            "motors": [{"name": entry.name, "parts": list(entry.parts)} for entry in shelf.motors()],
+            "motors": [vars(entry) for entry in shelf.motors()],
             "chosen": vars(self._session.choice), "ends": list(RECORDINGS),
         }  # fmt: skip
 

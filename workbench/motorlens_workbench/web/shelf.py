@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from motorlens_runtime.errors import DataError
 
@@ -19,10 +20,12 @@ _OUTPUT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*\.toml")
 
 @dataclass(frozen=True)
 class MotorEntry:
-    """A motor file: its name, and the effects and sensor models that are in it."""
+    """A motor file: its name, the effects and sensor models that are in it, and those of them of which every value is
+    stated (a deviation of 0) and never fitted, such as that a commanded voltage has no sensor."""
 
     name: str
     parts: tuple[str, ...]
+    stated: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,9 @@ class Shelf:
         """Motor files, in alphabetical order."""
         entries = []
         for name in self._names((".toml",)):
-            parts = _parts(Path(name))
-            if parts is not None:
-                entries.append(MotorEntry(name, parts))
+            entry = _entry(Path(name), name)
+            if entry is not None:
+                entries.append(entry)
         return entries
 
     def recordings(self) -> list[str]:
@@ -119,11 +122,11 @@ def _typed(path: str) -> str:
 
 def is_motor(path: Path) -> bool:
     """Whether a file is a motor file."""
-    return _parts(path) is not None
+    return _entry(path, "") is not None
 
 
-def _parts(path: Path) -> tuple[str, ...] | None:
-    """Effects and sensor models of a motor file; None if it is none."""
+def _entry(path: Path, name: str) -> MotorEntry | None:
+    """What is in a motor file; None if it is none."""
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -131,4 +134,10 @@ def _parts(path: Path) -> tuple[str, ...] | None:
     if not str(document.get("schema", "")).startswith("motorlens.motor/"):
         return None
     tables = [document.get(section, {}) for section in ("effects", "sensors")]
-    return tuple(name for table in tables if isinstance(table, dict) for name in table)
+    parts = {part: values for table in tables if isinstance(table, dict) for part, values in table.items()}
+    return MotorEntry(name, tuple(parts), tuple(part for part, values in parts.items() if _is_stated(values)))
+
+
+def _is_stated(values: Any) -> bool:
+    entries = list(values.values()) if isinstance(values, dict) else []
+    return bool(entries) and all(isinstance(one, dict) and one.get("sd") == 0 for one in entries)
