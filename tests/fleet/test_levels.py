@@ -122,3 +122,21 @@ def test_misfit_is_the_gain_of_a_free_shift(data):
     assert off.gains()[m, k] == pytest.approx(2 * (b**2 / (-4 * a)), rel=1e-6)
     assert off.score[m, k] == pytest.approx(b, rel=1e-6)
     assert off.information[m, k, k] == pytest.approx(-2 * a, rel=1e-6)
+
+
+def test_a_spread_that_one_recording_a_motor_tells_is_between_motors():
+    """Only the sum of both variances is told: not both spreads, each with any size up to the whole."""
+    rng = np.random.default_rng(3)
+    motors, each, own = 60, 3, 0.05
+    phi = np.repeat(0.2 * rng.standard_normal(motors), each)
+    # The first recording of each motor tells the parameter, the others next to nothing.
+    precision = np.tile([own**-2, 1e-3, 1e-3], motors)
+    seen = phi + rng.standard_normal(motors * each) / np.sqrt(precision)
+    data = Data(precision[:, None, None], (precision * seen)[:, None], np.repeat(np.arange(motors), each), motors,
+                np.ones(1), np.ones(motors, dtype=bool))  # fmt: skip
+    found, told = spreads(data), seen[::each]
+    assert found.psi[0] == 0
+    assert found.omega[0] == pytest.approx(np.sqrt(np.var(told, ddof=1) - own**2), rel=0.005)
+    whole = np.std(told, ddof=1)
+    assert found.sd[0, 0] == pytest.approx(whole**2 / found.omega[0] / np.sqrt(2 * (motors - 1)), rel=0.1)
+    assert found.likely[0, 0] == pytest.approx(np.hypot(found.omega[0], found.sd[0, 0]))

@@ -21,6 +21,7 @@ class Toy:
 
     number: int
     sleep_s: float = 0.0
+    paths: tuple[Path, ...] = ()
 
     def key(self):
         if self.number == 5:
@@ -73,6 +74,24 @@ def test_nothing_is_computed_twice(tmp_path):
     again = results(jobs, Store(tmp_path), work, lambda done, of: None)
     assert asked == [3, 4]
     assert again == first
+
+
+def test_the_longest_are_worked_on_first(tmp_path):
+    sizes = [100, 5000, 104, 101, 70000]
+    for n, count in enumerate(sizes):
+        (tmp_path / f"{n}.csv").write_text("x" * count)
+    asked = []
+
+    def work(todo):
+        asked.extend(job.number for job in todo)
+        return here(worked_out, todo)
+
+    jobs = [
+        (Entry(f"m{n}", tmp_path / f"{n}.csv", f"{n}.csv"), Toy(10 + n, paths=(tmp_path / f"{n}.csv",)))
+        for n in range(len(sizes))
+    ]
+    results(jobs, Store(tmp_path / "results"), work, lambda done, of: None)
+    assert asked == [14, 11, 10, 12, 13]
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")

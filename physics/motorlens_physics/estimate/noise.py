@@ -41,6 +41,8 @@ SLOWEST, FARTHEST = 0.95, 3.0
 # Variances are believed down to this share of the channel's mean square: ten times the integration's own error, squared.
 # And in a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
 LEAST, TINY = 1e-9, 1e-12
+# A measured input is no noisier than this many times the variance that it shows.
+MOST_OF_LOOKS = 1.5
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
 
@@ -107,7 +109,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
     # A load that was not measured has no noise of its own, but the slow torque.
     looks[LOAD] *= "load_torque" in run.known
     torque = torque_Nm**2
-    most = np.array([*(1.5 * looks), torque])
+    most = np.array([*(MOST_OF_LOOKS * looks), torque])
     return Noise(
         np.maximum(size, floor), np.array([*looks, 1e-4 * torque]), most, LASTS[1] * run.period_s, floor
     )

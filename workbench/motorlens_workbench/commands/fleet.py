@@ -116,7 +116,9 @@ def run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
         if arguments.diagnose:
             every = fleet.population.motors
-            asked = every if arguments.diagnose == "all" else tuple(every[m] for m in fleet.odd)
+            # The oddest first: in them there is most to be named, and that takes longest.
+            order = fleet.by_oddness if arguments.diagnose == "all" else fleet.odd
+            asked = tuple(every[m] for m in order)
             say(f"diagnosing {len(asked)} motors")
             fleet = replace(fleet, diagnoses=diagnosed(
                 fleet, asked, job, store, work, lambda done, of: stages[-1].update(done / of, f"({done} of {of} motors)"),

@@ -221,13 +221,10 @@ def spreads(data: Data) -> Spreads:
     allowed = on.copy()
     at = _likeliest(data, on, np.full(on.shape, 0.03))
     while on.any():
-        whole = solve(data, *at).evidence
-        gains = np.full(on.shape, np.inf)
-        for row, k in np.argwhere(on):
-            without = at.copy()
-            without[row, k] = 0.0
-            gains[row, k] = 2 * (whole - solve(data, *without).evidence)
+        gains = _gains(data, on, at)
         useless = on & (gains < HELPS)
+        # Of two spreads that do for one another, that between motors stays.
+        useless[0] &= ~useless[1]
         if not useless.any():
             break
         # Several at once where they are of no use at all: removing them does not change the others.
@@ -237,6 +234,23 @@ def spreads(data: Data) -> Spreads:
     sd = _deviations(data, on, at)
     likely = np.where(on, np.hypot(at, np.nan_to_num(sd)), _reckoned(data, allowed & ~on, at))
     return Spreads(at[0], at[1], sd, likely)
+
+
+def _gains(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
+    """(2, k) by how much twice the evidence falls without each spread, the other one of its parameter made up for it.
+
+    Where a motor has one recording that tells a parameter, its two spreads are told as one.
+    """
+    whole, gains = solve(data, *at).evidence, np.full(on.shape, np.inf)
+    for row, k in np.argwhere(on):
+        without = at.copy()
+        without[row, k] = 0.0
+        best = solve(data, *without).evidence
+        if on[1 - row, k]:
+            without[1 - row, k] = np.hypot(*at[:, k])
+            best = max(best, solve(data, *without).evidence)
+        gains[row, k] = 2 * (whole - best)
+    return gains
 
 
 def _likeliest(data: Data, on: NDArray[np.bool_], at: Array) -> Array:

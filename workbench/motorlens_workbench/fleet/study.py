@@ -66,11 +66,14 @@ class Fleet:
         return replace(file, sensors=sensors, knowledge=known)
 
     @property
+    def by_oddness(self) -> tuple[int, ...]:
+        """Numbers of all motors, the oddest first."""
+        return tuple(np.argsort(-self.population.oddness, kind="stable").tolist())
+
+    @property
     def odd(self) -> tuple[int, ...]:
         """Numbers of the motors that differ from the others, the oddest first."""
-        found = self.population
-        order = np.argsort(-found.oddness, kind="stable").tolist()
-        return tuple(m for m in order if found.differences[m])
+        return tuple(m for m in self.by_oddness if self.population.differences[m])
 
     @property
     def failed(self) -> tuple[Outcome, ...]:
@@ -81,7 +84,11 @@ class Fleet:
 def results(
     jobs: Sequence[tuple[Entry, Task]], store: Store, work: Work, progress: Callable[[int, int], None]
 ) -> tuple[Outcome, ...]:
-    """The result of every job, from the store where it is there; what is computed is kept at once."""
+    """The result of every job, from the store where it is there; what is computed is kept at once.
+
+    The longest recordings are worked on first, so that at the end no worker is alone with one (Graham 1969,
+    doi:10.1137/0117039); jobs of about one size in the order in which they are given.
+    """
     keys: list[str] = []
     failures: dict[int, str] = {}
     for number, (_, job) in enumerate(jobs):
@@ -93,9 +100,9 @@ def results(
     there = {key: found for key in set(keys) if key and (found := store.read(key)) is not None}
     todo = {key: job for key, (_, job) in zip(keys, jobs, strict=True) if key and key not in there}
     said: dict[str, str] = {}
-    names = list(todo)
+    names = sorted(todo, key=lambda key: -size(todo[key]).bit_length())
     progress(len(there), len(there) + len(todo))
-    for done in work(list(todo.values())) if todo else ():
+    for done in work([todo[key] for key in names]) if todo else ():
         key = names[done.number]
         if done.value is None:
             said[key] = done.failure
@@ -110,6 +117,11 @@ def results(
         failure = failures.get(number, "") or said.get(key, "") or (document or {}).get("failed", "")
         out.append(Outcome(entry, key, None if failure else document, failure))
     return tuple(out)
+
+
+def size(job: Task) -> int:
+    """Bytes of its recordings; 0 of what is not there any more."""
+    return sum(path.stat().st_size for path in job.paths if path.exists())
 
 
 def study(

@@ -1,0 +1,61 @@
+"""What one recording claims: no more than it knows where its errors do not tell how noisy its inputs are."""
+
+import numpy as np
+import pytest
+from helpers.plain_fleet import TYPICAL, WANDERS, World, simulated, write
+from helpers.plain_motor import AMBIENT_C, RATED
+
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.noise import LOAD, MOST_OF_LOOKS
+from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import read_recording
+from motorlens_workbench.fleet import summary
+
+pytestmark = pytest.mark.fit
+SEED = 3
+
+
+def score(parabola, truth):
+    """By how many of its own deviations the slope in b is off where the parameters are the true ones."""
+    off = np.array([truth[key] for key in parabola.keys]) - parabola.at
+    k = parabola.keys.index("b")
+    return float((parabola.gradient - parabola.information @ off)[k] / np.sqrt(parabola.information[k, k]))
+
+
+def test_noise_of_the_load_that_the_errors_do_not_tell_counts(tmp_path, monkeypatch):
+    """Scores at the truth scatter by one, as Fisher's information says."""
+    world, file = World(6, 1, poor=1), read_motor_file("mellah2016")
+    told = {True: [], False: []}
+    for m in range(6):
+        path = tmp_path / f"{m}.csv"
+        write(world.recorded(m, 0, SEED), path)
+        truth, rng = world.motor(m, SEED), np.random.default_rng([SEED, m, 0])
+        for key, sd in WANDERS.items():
+            truth[key] *= float(np.exp(sd * rng.standard_normal()))
+        found = estimate(file, prepare_all([read_recording(path)], file))
+        told[True].append(score(summary.parabola(found), truth))
+        with monkeypatch.context() as patched:
+            patched.setattr(summary, "_as_it_looks", lambda part: part.noise)
+            told[False].append(score(summary.parabola(found), truth))
+    rms = {which: np.sqrt(np.mean(np.square(scores))) for which, scores in told.items()}
+    # Of six, one in a hundred is 1.67 by chance.
+    assert rms[True] < 1.67 < rms[False]
+
+
+def test_a_load_that_truly_shakes_is_no_noise(tmp_path):
+    rng, n, period_s = np.random.default_rng(2), 800, 5e-3
+    voltage = np.repeat(rng.uniform(-1, 1, 8) * RATED["voltage"], 100)
+    load = RATED["load_torque"] * (0.3 + 0.2 * rng.standard_normal(n))
+    states = simulated({**TYPICAL, "V_b": 0.0, "tau_c": 0.0}, voltage, load, period_s)
+    columns = {
+        "time": np.arange(n) * period_s, "voltage": voltage, "load_torque": load,
+        "current": states[:, 0] + 0.002 * RATED["current"] * rng.standard_normal(n),
+        "speed": states[:, 1] + 1e-4 * RATED["speed"] * rng.standard_normal(n),
+        "ambient": np.full(n, AMBIENT_C),
+    }  # fmt: skip
+    write(columns, tmp_path / "a.csv")
+    file = read_motor_file("mellah2016")
+    found = estimate(file, prepare_all([read_recording(tmp_path / "a.csv")], file))
+    (part,) = summary._point(found.fit.model, found, found.fit.prior.keys).parts
+    assert part.noise.disturbances[LOAD] < 0.05 * part.noise.most[LOAD] / MOST_OF_LOOKS
