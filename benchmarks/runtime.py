@@ -23,7 +23,8 @@ import numpy as np
 from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.gate import Samples
-from motorlens_runtime.line.core_link import open_link
+from motorlens_runtime.line.core_link import CoreLink, open_link
+from motorlens_runtime.line.follower import Estimated
 from motorlens_runtime.line.framing import Channel, Decoder, Hello, hello_frames, samples_frame
 from motorlens_runtime.sensor.backend import TILE
 from motorlens_runtime.sensor.sensor import load_sensor
@@ -254,7 +255,7 @@ class Frames:
             samples_frame(rows, schema=1, sequence=len(frames) + k, t0_us=k * n * 1_000_000 // rate_Hz)
             for k, rows in enumerate(codes)
         ]
-        self._frames, self._link = iter(frames), open_link()
+        self._frames, self.decoder, self.ambient_C = iter(frames), open_link(), None
         # More than the caches of one processor hold, but for the one that all share.
         self._other_data = np.zeros(1 << 20) if cold else None
         self._started_ns = 0
@@ -262,7 +263,7 @@ class Frames:
         self.period_s: float | None = 1 / rate_Hz
         self.device, self.arrival_ns, self.dead = "bench", 0, False
 
-    def read(self, timeout_s: float) -> Samples | None:
+    def read(self, timeout_s: float) -> Samples | Estimated | None:
         frame = next(self._frames, None)
         if frame is None:
             return None
@@ -271,7 +272,8 @@ class Frames:
         self._started_ns = time.thread_time_ns()
         # A line that is never late: one period after another.
         self.arrival_ns += 1_000_000
-        return self._link.feed(frame, self.arrival_ns)
+        take = self.decoder.followed if isinstance(self.decoder, CoreLink) else self.decoder.feed
+        return take(frame, self.arrival_ns)
 
     def put(self, estimates: Estimates, inputs: object = None) -> None:
         self.taken_ns.append(time.thread_time_ns() - self._started_ns)

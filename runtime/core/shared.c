@@ -1,6 +1,7 @@
 /* What only the PC's shared object has: sizes, by which Python checks its own idea of the structs, and the network alone. */
 #include "motorlens.h"
 #include "link.h"
+#include "stream.h"
 
 size_t motorlens_size(int what);
 void motorlens_evaluate_features(const motorlens_sensor *sensor, int64_t n, const double *features, double *estimate,
@@ -17,7 +18,8 @@ size_t motorlens_size(int what)
     case 5: return sizeof(motorlens_block);
     case 6: return sizeof(motorlens_link);
     case 7: return sizeof(motorlens_frame);
-    default: return sizeof(motorlens_samples);
+    case 8: return sizeof(motorlens_samples);
+    default: return sizeof(motorlens_stream);
     }
 }
 

@@ -20,7 +20,7 @@ SPOKEN_S, SILENT_S, SPOKEN_AGAIN_S = 1.0, 10.0, 2.0
 class Line:
     """A feed of blocks of 50 ms; each read moves the clock by as much."""
 
-    period_s, device = 1 / RATE_HZ, "bench"
+    period_s, device, decoder, ambient_C = 1 / RATE_HZ, "bench", None, None
 
     def __init__(self):
         self.now_ns = self.arrival_ns = 0

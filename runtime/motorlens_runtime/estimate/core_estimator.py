@@ -22,8 +22,10 @@ from motorlens_runtime.sensor.core_backend import CoreBackend
 from motorlens_runtime.sensor.core_library import BlockTable, StateMemory
 from motorlens_runtime.sensor.sensor import Sensor, scales, tiled, untiled
 
+Array = NDArray[np.float64]
+
 # Of this many samples, the first tile of 16 is looked at by a second backend.
-_PERIOD = CHECK_EVERY * TILE
+LOOK_EVERY = CHECK_EVERY * TILE
 # Up to so many samples go through arrays that are kept.
 _FEW = 64
 
@@ -35,12 +37,17 @@ def open_estimator(sensor: Sensor, period_s: float, state: EstimatorState | None
 
 
 class CoreEstimator(Estimator):
-    """See `Estimator`; `sensor.backend` is a `CoreBackend`."""
+    """See `Estimator`.
+
+    Attributes:
+        core: the sensor's tables, its `backend`.
+        address: where the core finds the state.
+    """
 
     def __init__(self, sensor: Sensor, period_s: float, state: EstimatorState | None = None) -> None:
         backend = sensor.backend
         assert isinstance(backend, CoreBackend)
-        self.sensor, self._core = sensor, backend
+        self.sensor, self.core = sensor, backend
         self._needs_ambient = sensor.specification.needs_ambient
         self._outputs, self._features = len(sensor.specification.outputs), len(sensor.specification.features)
         self._scales = scales(sensor.specification)
@@ -51,8 +58,8 @@ class CoreEstimator(Estimator):
         self._few: _Few | None = None
         self._memory = StateMemory()
         self._bank = self._memory.bank  # once: a look at a structure within one makes an object
-        self._address = ctypes.addressof(self._memory)
-        backend.library.motorlens_start(backend.address, self._address, round(period_s * 1e9))
+        self.address = ctypes.addressof(self._memory)
+        backend.library.motorlens_start(backend.address, self.address, round(period_s * 1e9))
         if state is not None:
             self.state = state
 
@@ -88,7 +95,7 @@ class CoreEstimator(Estimator):
 
     def push(self, samples: Samples, rows: NDArray[np.intp] | None = None) -> Estimates:
         """See `Estimator.push`."""
-        if self._needs_ambient and samples.ambient_C is None:
+        if not self.takes(samples.ambient_C is not None):
             raise DataError(
                 "the sensor needs the ambient temperature: give an ambient column, or --ambient DEGREES_C"
             )
@@ -96,30 +103,49 @@ class CoreEstimator(Estimator):
         if rows is not None and len(rows) == n:
             rows = None
         looked = None
-        if self.sensor.checker is not None and (count % _PERIOD < TILE or -count % _PERIOD < n):
-            looked = _looked(count, n, rows)
+        if self.sensor.checker is not None and (count % LOOK_EVERY < TILE or -count % LOOK_EVERY < n):
+            looked = looked_at(count, n, rows)
         if looked is None and n <= _FEW:
-            estimates, disagree = self._few_pushed(samples, rows), None
-        else:
-            estimates, disagree = self._many_pushed(samples, rows, looked)
-        # Once two implementations have disagreed, neither is believed until the sensor is loaded again.
+            return self.judged(self._few_pushed(samples, rows), None, None)
+        return self._many_pushed(samples, rows, looked)
+
+    @property
+    def count(self) -> int:
+        """Samples so far."""
+        return int(self._bank.count)
+
+    def takes(self, ambient_known: bool) -> bool:
+        """Whether samples can be pushed: not without the ambient temperature where the sensor needs it."""
+        return ambient_known or not self._needs_ambient
+
+    def judged(
+        self, estimates: Estimates, looked: NDArray[np.intp] | None, features: Array | None
+    ) -> Estimates:
+        """The estimates, marked where two implementations do not agree; `features` (looked, F) are what the second looks at.
+
+        Once they have disagreed, neither is believed until the sensor is loaded again.
+        """
         if self._mismatch:
             mark(estimates.quality, slice(None), Quality.BACKEND_MISMATCH)
-        elif disagree is not None:
-            mark(estimates.quality, slice(disagree, None), Quality.BACKEND_MISMATCH)
-            self._mismatch = True
+        elif looked is not None and len(looked):
+            assert self.sensor.checker is not None and features is not None
+            second, _ = self.sensor.checker.evaluate(tiled(features.T, 0))
+            apart = np.abs(untiled(second)[:, : len(looked)].T - estimates.values[looked]) / self._scales
+            wrong = np.flatnonzero(~(apart <= CHECK_TOLERANCE).all(axis=1))
+            if len(wrong):
+                mark(estimates.quality, slice(int(looked[wrong[0]]), None), Quality.BACKEND_MISMATCH)
+                self._mismatch = True
         return estimates
 
     def _few_pushed(self, samples: Samples, rows: NDArray[np.intp] | None) -> Estimates:
         """A live line's samples, through arrays that are kept: finding the address of new ones takes as long as the rest."""
         if self._few is None:
             self._few = _Few(self._outputs)
-        return self._few.push(self._core, self._address, samples, rows)
+        return self._few.push(self.core, self.address, samples, rows)
 
     def _many_pushed(
         self, samples: Samples, rows: NDArray[np.intp] | None, looked: NDArray[np.intp] | None
-    ) -> tuple[Estimates, int | None]:
-        """The estimates, and the first row where the second backend differs, among the rows at which it looks."""
+    ) -> Estimates:
         n = len(samples)
         given: list[NDArray[Any] | None] = [
             _as(samples.time_ns, np.int64), _as(samples.voltage_V, np.float64), _as(samples.current_A, np.float64),
@@ -130,27 +156,21 @@ class CoreEstimator(Estimator):
         quality = np.empty(m, dtype=np.uint32)
         features = np.empty((0 if looked is None else len(looked), self._features))
         table = BlockTable(
-            n, m, 0 if looked is None else _PERIOD, TILE, 0, *(None if a is None else a.ctypes.data for a in given),
+            n, m, 0 if looked is None else LOOK_EVERY, TILE, 0, *(None if a is None else a.ctypes.data for a in given),
             values.ctypes.data, sigma.ctypes.data, quality.ctypes.data, features.ctypes.data,
         )  # fmt: skip
-        _run(self._core, self._address, table, samples)
+        _run(self.core, self.address, table, samples)
         estimates = Estimates(
             samples.time_ns if rows is None else samples.time_ns[rows], values.T, sigma.T, quality
         )
-        if looked is None or not len(looked):
-            return estimates, None
-        assert self.sensor.checker is not None
-        second, _ = self.sensor.checker.evaluate(tiled(features.T, 0))
-        apart = np.abs(untiled(second)[:, : len(looked)].T - estimates.values[looked]) / self._scales
-        wrong = np.flatnonzero(~(apart <= CHECK_TOLERANCE).all(axis=1))
-        return estimates, int(looked[wrong[0]]) if len(wrong) else None
+        return self.judged(estimates, looked, features)
 
 
-def _looked(count: int, n: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
+def looked_at(count: int, n: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
     """Which of `rows` of `n` samples after `count` (None: of all) the second backend looks at."""
     if rows is not None:
-        return np.flatnonzero((count + rows) % _PERIOD < TILE)
-    tiles = np.arange(-(count % _PERIOD), n, _PERIOD)
+        return np.flatnonzero((count + rows) % LOOK_EVERY < TILE)
+    tiles = np.arange(-(count % LOOK_EVERY), n, LOOK_EVERY)
     looked = (tiles[:, None] + np.arange(TILE)).reshape(-1)
     return looked[(looked >= 0) & (looked < n)]
 

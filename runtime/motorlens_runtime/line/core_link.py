@@ -1,6 +1,7 @@
 """The decoder of our frames in the C core: the same samples and counters as `link.Link`, a call for each read of the line.
 
-HELLO and all other frames that are not SAMPLES are Python's to understand; until the first HELLO everything is.
+HELLO and all other frames that are not SAMPLES are Python's to understand; until the first HELLO everything is. With a
+`follower`, the call goes on to the estimates; see `service.core_stream`.
 """
 
 import ctypes
@@ -9,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.line.follower import Estimated, Follower
 from motorlens_runtime.line.framing import Frame, run_of
 from motorlens_runtime.line.link import Counters, Link, joined
-from motorlens_runtime.sensor.core_library import FrameTable, LinkMemory, SamplesTable, core
+from motorlens_runtime.sensor.core_library import LinkMemory, StreamTable, core
 
-_ROOM = 4096
+# More samples than one read of a line can hold: of 65536 bytes, a frame of 20 gives two at most.
+ROOM = 1 << 14
 _COUNTERS = tuple(Counters.__dataclass_fields__)
 # Products of times and rates stay below 2^63 in the core; odd rates such as 10 000 000 / 10 007 are left to Python.
 _LARGEST_PRODUCT = 1 << 62
@@ -26,23 +29,30 @@ def open_link() -> Link:
 
 
 class CoreLink(Link):
-    """See `Link`."""
+    """See `Link`.
+
+    Attributes:
+        stream: the core's own, of which decoding uses `link`, `samples` and `other`.
+        follower: who goes on to estimates, None: nobody.
+        says_ambient: whether the ambient temperature is among the channels.
+    """
 
     def __init__(self, library: ctypes.CDLL) -> None:
         super().__init__()
         self._library = library
-        self._memory, self._frame = LinkMemory(), FrameTable()
-        self._out_ns, self._out_flags = np.empty(_ROOM, dtype=np.int64), np.empty(_ROOM, dtype=np.uint32)
-        self._out_values = np.empty((3, _ROOM))
-        self._table = SamplesTable(
-            self._out_ns.ctypes.data,
-            *(row.ctypes.data for row in self._out_values),
-            self._out_flags.ctypes.data,
-            _ROOM,
-            0,
-        )
+        self._memory, self.stream = LinkMemory(), StreamTable()
+        # Once: a look at a structure within one makes an object.
+        self._table, self._frame, self._block = self.stream.samples, self.stream.other, self.stream.block
+        self._decoding = self._memory.decoder
+        self._out_ns, self._out_flags = np.empty(ROOM, dtype=np.int64), np.empty(ROOM, dtype=np.uint32)
+        self._out_values = np.empty((3, ROOM))
+        table = self._table
+        table.time_ns, table.flags, table.room = self._out_ns.ctypes.data, self._out_flags.ctypes.data, ROOM
+        table.voltage_V, table.current_A, table.ambient_C = (row.ctypes.data for row in self._out_values)
+        self.stream.link = ctypes.addressof(self._memory)
         self._addresses = [ctypes.addressof(part) for part in (self._memory, self._table, self._frame)]
-        self._in_core = self._has_ambient = False
+        self.follower: Follower | None = None
+        self._in_core = self.says_ambient = False
 
     @property
     def counters(self) -> Counters:
@@ -58,33 +68,51 @@ class CoreLink(Link):
             samples = super().feed(data, now_ns)
             self._enter()
             return samples
+        self._table.count, self._frame.payload = 0, None
+        return self._rest(data, 0, now_ns)
+
+    def followed(self, data: bytes, now_ns: int) -> Samples | Estimated:
+        """As `feed`; on to the estimates where there is a follower and the read holds nothing but samples."""
+        if self.follower is None or not self._in_core or not data:
+            return self.feed(data, now_ns)
+        taken = self.follower.take(data, now_ns)
+        if not self._block.n:
+            return self._rest(data, taken, now_ns)
+        self.bytes_seen += len(data)
+        self.bad_frames = self._decoding.bad_frames
+        return self.follower.estimated()
+
+    def _rest(self, data: bytes, taken: int, now_ns: int) -> Samples:
+        """The samples after so many bytes were taken, with those that this gave."""
         self.bytes_seen += len(data)
         parts: list[Samples] = []
         link, table, frame = self._addresses
-        taken, size = 0, len(data)
-        while taken < size:
-            self._table.count = 0
-            rest = data if not taken else data[taken:]
-            taken += self._library.motorlens_link_feed(link, rest, len(rest), now_ns, table, frame)
+        while True:
             if self._table.count:
-                parts.append(self._samples_of(self._table.count))
+                parts.append(self.samples())
             if self._frame.payload:
                 self._understand(parts, now_ns)
                 if not self._in_core:
-                    if taken < size:
-                        self.bytes_seen -= size - taken
+                    if taken < len(data):
+                        self.bytes_seen -= len(data) - taken
                         parts.append(super().feed(data[taken:], now_ns))
                     return joined(parts)
-        self.bad_frames = self._memory.decoder.bad_frames
-        return joined(parts)
+            if taken == len(data):
+                self.bad_frames = self._decoding.bad_frames
+                return joined(parts)
+            self._table.count = 0
+            rest = data[taken:] if taken else data
+            taken += self._library.motorlens_link_feed(link, rest, len(rest), now_ns, table, frame)
 
-    def _samples_of(self, n: int) -> Samples:
+    def samples(self) -> Samples:
+        """Those of the last call of the core."""
+        n = self._table.count
         voltage_V, current_A, ambient_C = self._out_values
         return Samples(
             self._out_ns[:n].copy(),
             voltage_V[:n].copy(),
             current_A[:n].copy(),
-            ambient_C[:n].copy() if self._has_ambient else None,
+            ambient_C[:n].copy() if self.says_ambient else None,
             self._out_flags[:n].copy(),
         )
 
@@ -133,5 +161,5 @@ class CoreLink(Link):
                 (
                     channel.index, channel.scale, channel.offset, channel.factor, channel.shift, channel.least, channel.most,
                 ) = numbers  # fmt: skip
-        self._has_ambient = bool(into.channel[2].used)
+        self.says_ambient = bool(into.channel[2].used)
         self._in_core = True

@@ -10,7 +10,9 @@ import numpy as np
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.files.recorded import open_recorded, period_of
+from motorlens_runtime.line.core_link import CoreLink
 from motorlens_runtime.line.dialects import Dialect, make_dialect, recognise
+from motorlens_runtime.line.follower import Estimated
 from motorlens_runtime.line.link import joined, slice_of
 from motorlens_runtime.line.sources import Options, Source, number_of, open_source, split
 
@@ -29,16 +31,19 @@ class Feed(Protocol):
     """Samples, whatever they come from.
 
     `period_s` is the expected time between samples (None until known), `device` what the device calls itself, `arrival_ns`
-    when the last samples came by the clock, `down` why the line is broken (None: it is not).
+    when the last samples came by the clock, `down` why the line is broken (None: it is not). `decoder` decodes a line
+    (None: not known yet, or it is no line), to whose samples the feed adds `ambient_C` where they have none.
     """
 
     period_s: float | None
     device: str
     arrival_ns: int
     down: str | None
+    decoder: Dialect | None
+    ambient_C: float | None
 
-    def read(self, timeout_s: float) -> Samples | None:
-        """The samples that have come, after `timeout_s` at the latest; None at the end."""
+    def read(self, timeout_s: float) -> Samples | Estimated | None:
+        """The samples that have come, after `timeout_s` at the latest, or what was made of them; None at the end."""
         ...
 
     def report(self) -> dict[str, Any]:
@@ -78,14 +83,14 @@ class LineFeed:
         self, parts: SplitResult, options: Options, ambient_C: float | None, patience_s: float, clock: Clock
     ) -> None:
         self._parts, self._options, self._clock = parts, dict(options), clock
-        self._ambient_C = ambient_C
+        self.ambient_C = ambient_C
         self._patience_ns = round(min(patience_s, 1e9) * 1e9)
         rest = dict(options)
         dialect = rest.pop("dialect", None)
         self._source: Source | None = open_source(parts, rest)
-        self._decoder: Dialect | None = None
+        self.decoder: Dialect | None = None
         if dialect is not None:
-            self._decoder = make_dialect(dialect, rest)
+            self.decoder = make_dialect(dialect, rest)
         elif rest:
             self._source.close()
             raise DataError(f"--source {parts.geturl()}: unknown option {next(iter(rest))!r}")
@@ -98,12 +103,12 @@ class LineFeed:
         self.arrival_ns = clock()
         self.down: str | None = None
 
-    def read(self, timeout_s: float) -> Samples | None:
+    def read(self, timeout_s: float) -> Samples | Estimated | None:
         """See `Feed.read`. Raises DeviceError when a broken line stays broken for too long."""
         if self._source is None:
             self._try_again(timeout_s)
             return NO_SAMPLES
-        decoder = self._decoder
+        decoder = self.decoder
         try:
             if decoder is not None and decoder.asks:
                 if question := decoder.request(self._clock()):
@@ -120,20 +125,27 @@ class LineFeed:
         if decoder is None:
             return NO_SAMPLES
         heard, self._heard = self._heard, b""
-        samples = decoder.feed(heard or data, self.arrival_ns)
-        if self._ambient_C is not None and samples.ambient_C is None:
+        data = heard or data
+        if isinstance(decoder, CoreLink):
+            received = decoder.followed(data, self.arrival_ns)
+            if isinstance(received, Estimated):
+                return received
+            samples = received
+        else:
+            samples = decoder.feed(data, self.arrival_ns)
+        if self.ambient_C is not None and samples.ambient_C is None:
             samples = Samples(
                 samples.time_ns,
                 samples.voltage_V,
                 samples.current_A,
-                np.full(len(samples), self._ambient_C),
+                np.full(len(samples), self.ambient_C),
                 samples.flags,
             )
         return self._timed(decoder, samples)
 
     def report(self) -> dict[str, Any]:
         """See `Feed.report`."""
-        said = {} if self._decoder is None else self._decoder.report()
+        said = {} if self.decoder is None else self.decoder.report()
         return {"reconnects": self._reconnects, **said}
 
     def close(self) -> None:
@@ -146,10 +158,10 @@ class LineFeed:
         self._heard += data
         spoken = recognise(self._heard)
         if spoken == "text":
-            self._decoder = make_dialect("text")
+            self.decoder = make_dialect("text")
         elif spoken == "frames" or len(self._heard) >= _RECOGNISE_BYTES:
-            self._decoder = make_dialect("frames")
-        return self._decoder
+            self.decoder = make_dialect("frames")
+        return self.decoder
 
     def _timed(self, decoder: Dialect, samples: Samples) -> Samples:
         """Hold the first samples back until the rate is known."""
@@ -203,6 +215,8 @@ class FileFeed:
 
     device = ""
     down: str | None = None
+    decoder: Dialect | None = None
+    ambient_C: float | None = None  # the samples have it
 
     def __init__(
         self,

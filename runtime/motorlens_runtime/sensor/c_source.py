@@ -14,7 +14,7 @@ from motorlens_runtime.sensor.whole_tables import WholeArgument
 Array = NDArray[np.float64]
 
 # What the PC's shared object has beyond the core.
-_NOT_EXPORTED = ("shared.c", "decimal_text.c", "motorlens_config.h")
+_NOT_EXPORTED = ("shared.c", "decimal_text.c", "stream.c", "stream.h", "motorlens_config.h")
 _PER_LINE = 8
 
 

@@ -151,6 +151,8 @@ def _loaded(path: Path) -> Core:
         library.motorlens_push.restype = i64
         library.motorlens_link_feed.argtypes = [pointer, ctypes.c_char_p, i64, i64, pointer, pointer]
         library.motorlens_link_feed.restype = i64
+        library.motorlens_stream_take.argtypes = [pointer, ctypes.c_char_p, i64, i64]
+        library.motorlens_stream_take.restype = i64
         library.motorlens_decimal_table.argtypes = [
             ctypes.c_char_p,
             i64,
@@ -262,6 +264,11 @@ SamplesTable = _structure(
     "SamplesTable", time_ns=pointer, voltage_V=pointer, current_A=pointer, ambient_C=pointer, flags=pointer, room=i64,
     count=i64,
 )  # fmt: skip
+StreamTable = _structure(
+    "StreamTable", link=pointer, sensor=pointer, state=pointer, samples=SamplesTable, block=BlockTable, other=FrameTable,
+    rows=pointer, values=pointer, sigma=pointer, inputs=pointer, time_ns=pointer, instant_ns=i64, instant=i64, first_ns=i64,
+    newest_ns=i64, late_ns=i64, backwards=i64, ambient_C=f64,
+)  # fmt: skip
 STRUCTURES = (
     SensorTable,
     StateMemory,
@@ -272,4 +279,5 @@ STRUCTURES = (
     LinkMemory,
     FrameTable,
     SamplesTable,
+    StreamTable,
 )

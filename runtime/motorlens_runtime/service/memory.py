@@ -26,6 +26,9 @@ class Memory:
         path: the snapshot.
         sensor: whose state it is.
         wall_clock: nanoseconds since 1970; only it tells how long the motor was off.
+
+    Attributes:
+        marking: whether samples still rest on remembered heat, see `mark`.
     """
 
     def __init__(
@@ -35,7 +38,7 @@ class Memory:
         self._sensor = sensor
         self._wall_clock = wall_clock
         self._warm_up_ns = round(sensor.specification.warm_up_s * 1e9)
-        self._restored = False
+        self._restored = self.marking = False
         self._restored_until_ns: int | None = None
         self._next_ns: int | None = None
         self._message: str | None = None
@@ -52,15 +55,16 @@ class Memory:
         if isinstance(result, str):
             self._message = result
             return None
-        self._message, self._restored = result.message, True
+        self._message, self._restored, self.marking = result.message, True, True
         return result.state
 
     def mark(self, samples: Samples) -> Samples:
         """The samples, said to rest on remembered heat until as much history as the warm-up asks for is their own."""
-        if not self._restored or not len(samples):
+        if not self.marking or not len(samples):
             return samples
         if self._restored_until_ns is None:
             self._restored_until_ns = int(samples.time_ns[0]) + self._warm_up_ns
+        self.marking = int(samples.time_ns[0]) < self._restored_until_ns
         return snapshot.flagged(samples, self._restored_until_ns)
 
     def keep(self, estimator: Estimator, device: str, now_ns: int) -> None:

@@ -25,21 +25,26 @@ _FIRST, _NONE = np.zeros(1, dtype=np.intp), np.zeros(0, dtype=np.intp)
 
 
 class Grid:
-    """Picks the first row at or after each instant of a fixed rate; a rate of 0 picks every row."""
+    """Picks the first row at or after each instant of a fixed rate; a rate of 0 picks every row.
+
+    Attributes:
+        period_ns: between instants, 0: every row.
+        instant: the number of the last that was reached, None before the first.
+    """
 
     def __init__(self, rate_Hz: float) -> None:
-        self._period_ns = round(1e9 / rate_Hz) if rate_Hz > 0 else 0
-        self._last: int | None = None
+        self.period_ns = round(1e9 / rate_Hz) if rate_Hz > 0 else 0
+        self.instant: int | None = None
 
     def rows(self, time_ns: NDArray[np.int64]) -> NDArray[np.intp]:
         """Indices of the rows that are due."""
-        if not self._period_ns or not len(time_ns):
+        if not self.period_ns or not len(time_ns):
             return np.arange(len(time_ns))
-        first, last = int(time_ns[0]) // self._period_ns, int(time_ns[-1]) // self._period_ns
-        before, self._last = self._last, last
+        first, last = int(time_ns[0]) // self.period_ns, int(time_ns[-1]) // self.period_ns
+        before, self.instant = self.instant, last
         if first == last:
             return _FIRST if first != before else _NONE
-        ticks = time_ns // self._period_ns
+        ticks = time_ns // self.period_ns
         new = np.empty(len(ticks), dtype=bool)
         new[0] = first != before
         np.not_equal(ticks[1:], ticks[:-1], out=new[1:])

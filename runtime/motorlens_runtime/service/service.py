@@ -17,18 +17,17 @@ from motorlens_runtime.estimate.estimator import Estimates, Estimator, Estimator
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.line.feed import Feed
+from motorlens_runtime.line.follower import Estimated
 from motorlens_runtime.sensor.sensor import Sensor
 from motorlens_runtime.service.alarms import Watch
+from motorlens_runtime.service.core_stream import follow
+from motorlens_runtime.service.lag import Lag
 from motorlens_runtime.service.memory import Memory
 from motorlens_runtime.service.outlet import Grid, Outlet
 from motorlens_runtime.service.recorder import Recorder
 from motorlens_runtime.service.swap import Swap
 
 _WAIT_S = 0.05
-# The stream may lie this far behind its own best before the PC counts as too slow.
-_BEHIND_NS = 250_000_000
-# A device's clock may drift this much against ours; the best is forgotten at this pace.
-_DRIFT = 5e-4
 _LATENCIES = 1 << 16
 # How much longer than its duration a live stream may take, from opening the port to its first sample.
 _GRACE_NS = 1_000_000_000
@@ -88,8 +87,7 @@ class Service:
         self._stale_tick = 0
         self._lost = False
         self._settled_ns: int | None = None
-        self._best_lag_ns: float | None = None
-        self._lag_at_ns = 0
+        self._lag = Lag()
         self._counted_ns = 0
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -108,37 +106,52 @@ class Service:
             if self._outlets and all([outlet.dead for outlet in self._outlets]):
                 return
 
-    def take(self, samples: Samples) -> None:
+    def take(self, received: Samples | Estimated) -> None:
         """Samples into the state, estimates to the outlets."""
         arrival_ns = self._feed.arrival_ns
         estimator = self._current_estimator()
-        samples = self._judge_lag(samples, arrival_ns)
-        if self._memory is not None:
-            samples = self._memory.mark(samples)
+        if isinstance(received, Samples):
+            received = self._estimated(estimator, received, arrival_ns)
+        estimates = received.estimates
         if self._recorder is not None:
-            self._recorder.put(samples)
+            self._recorder.put(received.samples())
         if self._first_ns is None:
-            self._first_ns = int(samples.time_ns[0])
-        rows = self._grid.rows(samples.time_ns)
-        estimates = estimator.push(samples, rows)
+            self._first_ns = received.first_ns
         if self._swap is not None:
-            estimator, estimates = self._follow(self._swap, estimator, samples, rows, estimates)
-        self._samples += len(samples)
-        self._largest_block = max(self._largest_block, len(samples))
+            estimator, estimates = self._follow(self._swap, estimator, received)
+        self._samples += received.count
+        self._largest_block = max(self._largest_block, received.count)
         if self._lost:
-            self._found_again(samples, arrival_ns)
+            self._found_again(received.first_ns, arrival_ns)
         self._latest_arrival_ns = arrival_ns
         if len(estimates):
             estimates = self._held_until_settled(estimates)
             self._latest = estimates
-            inputs = np.empty((len(rows), 2))
-            chosen = slice(None) if len(rows) == len(samples) else rows
-            inputs[:, 0], inputs[:, 1] = samples.voltage_V[chosen], samples.current_A[chosen]
-            self._hand_out(estimates, inputs)
+            self._hand_out(estimates, received.inputs)
         if self._memory is not None:
             self._memory.keep(estimator, self._feed.device, arrival_ns)
         self._latency_ns[self._blocks % _LATENCIES] = self._clock() - arrival_ns
         self._blocks += 1
+
+    def _estimated(self, estimator: Estimator, samples: Samples, arrival_ns: int) -> Estimated:
+        """What the estimator makes of samples; from the next read on the line's decoder may have it done by itself."""
+        first_ns, newest_ns = int(samples.time_ns[0]), int(samples.time_ns[-1])
+        late_ns = self._lag.late_ns(arrival_ns)
+        self._lag.note(arrival_ns, newest_ns)
+        if newest_ns <= late_ns:
+            flags = np.zeros(len(samples), dtype=np.uint32) if samples.flags is None else samples.flags
+            samples = replace(samples, flags=flags | np.uint32(Quality.OVERLOAD))
+        marking = self._memory is not None and self._memory.marking
+        if self._memory is not None:
+            samples = self._memory.mark(samples)
+        rows = self._grid.rows(samples.time_ns)
+        estimates = estimator.push(samples, rows)
+        inputs = np.empty((len(rows), 2))
+        chosen = slice(None) if len(rows) == len(samples) else rows
+        inputs[:, 0], inputs[:, 1] = samples.voltage_V[chosen], samples.current_A[chosen]
+        if not marking:
+            follow(self._feed, estimator, self._grid, self._lag)
+        return Estimated(len(samples), first_ns, newest_ns, estimates, inputs, lambda: samples, lambda: rows)
 
     def counts(self) -> dict[str, Any]:
         """What publishers are told once a second: samples and estimates so far, what was lost, time to each limit."""
@@ -231,15 +244,16 @@ class Service:
         for outlet in self._outlets:
             outlet.put_event(document)
 
-    def _follow(
-        self, swap: Swap, estimator: Estimator, samples: Samples, rows: NDArray[np.intp], estimates: Estimates
-    ) -> tuple[Estimator, Estimates]:
+    def _follow(self, swap: Swap, estimator: Estimator, received: Estimated) -> tuple[Estimator, Estimates]:
         assert self._period_s is not None
-        following, estimates = swap.follow(estimator, self._period_s, samples, rows, estimates)
+        following, estimates = swap.follow(
+            estimator, self._period_s, received.samples(), received.rows(), received.estimates
+        )
         while swap.events:
             self._tell(swap.events.popleft())
         if following is not estimator:
             self._estimator, self._sensor = following, following.sensor
+            follow(self._feed, following, self._grid, self._lag)
             if self._memory is not None:
                 self._memory.follow(following.sensor)
         return following, estimates
@@ -273,10 +287,9 @@ class Service:
         quality = last.quality[row] | np.uint32(reason)
         self._hand_out(Estimates(last.time_ns[row] + silence_ns, last.values[row], last.sigma[row], quality))
 
-    def _found_again(self, samples: Samples, arrival_ns: int) -> None:
+    def _found_again(self, first_ns: int, arrival_ns: int) -> None:
         """The line is back."""
         self._lost = False
-        first_ns = int(samples.time_ns[0])
         self._settled_ns = first_ns + _SETTLE_NS
         silence_s = (arrival_ns - self._latest_arrival_ns) * 1e-9
         self._tell(_line_event("back", first_ns, f"samples come again after {silence_s:.1f} s"))
@@ -296,18 +309,6 @@ class Service:
             np.where(early[:, None], self._latest.sigma[-1], estimates.sigma),
             estimates.quality | np.where(early, reason, np.uint32(0)),
         )
-
-    def _judge_lag(self, samples: Samples, arrival_ns: int) -> Samples:
-        """Mark samples that come later than the stream has shown it can."""
-        lag_ns = arrival_ns - int(samples.time_ns[-1])
-        forgotten = _DRIFT * (arrival_ns - self._lag_at_ns)
-        self._lag_at_ns = arrival_ns
-        best = lag_ns if self._best_lag_ns is None else min(self._best_lag_ns + forgotten, lag_ns)
-        self._best_lag_ns = best
-        if lag_ns - best < _BEHIND_NS:
-            return samples
-        flags = np.zeros(len(samples), dtype=np.uint32) if samples.flags is None else samples.flags
-        return replace(samples, flags=flags | np.uint32(Quality.OVERLOAD))
 
 
 def _line_event(what: str, time_ns: int, message: str) -> dict[str, Any]:

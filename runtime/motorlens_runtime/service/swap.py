@@ -72,7 +72,7 @@ class Swap:
         estimator: Estimator,
         period_s: float,
         samples: Samples,
-        rows: NDArray[np.intp],
+        rows: NDArray[np.intp] | None,
         estimates: Estimates,
     ) -> tuple[Estimator, Estimates]:
         """To be called with each block after the estimator in service has taken it.
