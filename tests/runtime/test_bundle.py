@@ -21,6 +21,8 @@ from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.sensor import bundle
 from motorlens_runtime.sensor.core_library import compilers
 
+ONE_ENGINE = "what is packed is the core itself"
+
 OFFLINE = ["unshare", "--net", "--map-root-user"]
 
 

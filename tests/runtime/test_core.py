@@ -21,6 +21,8 @@ from motorlens_runtime.sensor import core_library
 from motorlens_runtime.sensor.sensor import load_sensor, scales
 from motorlens_runtime.sensor.tables import OPERATIONS, allocated
 
+ONE_ENGINE = "it sets the core beside Python"
+
 needs_core = pytest.mark.skipif(
     core_library.core().library is None, reason=f"no C core: {core_library.core().reason}"
 )

@@ -26,6 +26,8 @@ from motorlens_runtime.sensor.core_library import core
 from motorlens_runtime.sensor.sensor import load_sensor, scales
 from motorlens_runtime.service.service import Service, Settings
 
+ONE_ENGINE = "it sets the core beside Python"
+
 pytestmark = pytest.mark.skipif(core().library is None, reason=f"no C core: {core().reason}")
 QUANTITIES = {"voltage": ("V", 0.1), "current": ("mA", 20.0), "ambient": ("C", 0.01)}
 

@@ -9,6 +9,8 @@ from motorlens_runtime.files.csv_stream import _by_core
 from motorlens_runtime.files.decimal_text import nine_digits, read, seconds, seconds_text, table
 from motorlens_runtime.sensor.core_library import core
 
+ONE_ENGINE = "it sets the core beside Python"
+
 needs_core = pytest.mark.skipif(core().library is None, reason=f"no C core: {core().reason}")
 
 

@@ -12,6 +12,8 @@ from motorlens_runtime import doctor
 from motorlens_runtime.cli import main
 from motorlens_runtime.service.notify import Notifier
 
+ONE_ENGINE = "it tells which of the two there is"
+
 
 def test_percentiles_in_microseconds():
     spread = doctor.Spread.of(np.arange(0, 101_000, 1000.0))

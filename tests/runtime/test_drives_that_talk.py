@@ -18,6 +18,8 @@ from motorlens_runtime.line.dialects import make_dialect
 from motorlens_runtime.line.feed import LineFeed
 from motorlens_runtime.line.sources import split
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 MS = 1_000_000
 
 

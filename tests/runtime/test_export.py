@@ -18,6 +18,8 @@ from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.sensor.core_library import STRICT_FLAGS, compilers
 from motorlens_runtime.sensor.sensor import load_sensor, scales, tiled, untiled
 
+ONE_ENGINE = "what is exported is the core itself"
+
 SHIPPED = Path(__file__).resolve().parents[2] / "models/sensors"
 needs_compiler = pytest.mark.skipif(
     not compilers(), reason="no C compiler on this machine (cc, gcc or clang)"

@@ -12,6 +12,8 @@ from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_runtime.service.alarms import Watch, parse_alarm
 from motorlens_runtime.service.service import Service, Settings
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 RATE_HZ, BLOCK = 1000, 50
 # Samples for a second, nothing for ten, samples for two.
 SPOKEN_S, SILENT_S, SPOKEN_AGAIN_S = 1.0, 10.0, 2.0

@@ -502,7 +502,7 @@ def test_what_cannot_be_attached_to_is_said(url, said):
         attach(url, first_s=0.1)
 
 
-def test_the_command_attaches_and_watches(tmp_path, monkeypatch):
+def test_the_command_attaches_and_watches(engine, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_sensor("s.onnx")
     writer = open_publisher(f"shm:{tmp_path}/ring", HEADER)

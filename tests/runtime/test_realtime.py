@@ -92,7 +92,7 @@ def test_garbage_is_collected_between_blocks_every_ten_seconds():
 
 
 @pytest.mark.fit
-def test_the_estimates_are_the_same(tmp_path, monkeypatch, capsys):
+def test_the_estimates_are_the_same(engine, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_sensor(tmp_path / "s.onnx")
     rows = "".join(f"{k / 1000:.3f},{100 + k % 7},{8 + k % 5}\n" for k in range(2000))

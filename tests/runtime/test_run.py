@@ -23,6 +23,8 @@ from helpers.wire_device import WireDevice
 from motorlens_runtime.cli import main
 from motorlens_runtime.estimate.quality import Quality
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
@@ -54,7 +56,7 @@ def estimates(path):
 
 @pytest.mark.fit
 @pytest.mark.parametrize(("rate_Hz", "n"), [(1000, 1), (10_000, 10), (20_000, 20)])
-def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(engine, here, monkeypatch, rate_Hz, n):
+def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(here, monkeypatch, rate_Hz, n):
     # On a busy machine the device itself may take much longer than real time.
     monkeypatch.setattr("motorlens_runtime.service.service._GRACE_NS", 60_000_000_000)
     with WireDevice(rate_Hz, n, count=2000) as device:
@@ -77,7 +79,7 @@ def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(engine, here, monke
 
 
 @pytest.mark.fit
-def test_publishing_at_a_rate_gives_rows_of_the_full_output(engine, here):
+def test_publishing_at_a_rate_gives_rows_of_the_full_output(here):
     with WireDevice(1000, 10, count=300) as device:
         device.start_when_open()
         run(
@@ -114,7 +116,7 @@ def test_signals_end_it_cleanly_with_a_summary(here, number):
 
 
 @pytest.mark.fit
-def test_an_unplugged_device_is_taken_up_again_where_it_was(engine, here):
+def test_an_unplugged_device_is_taken_up_again_where_it_was(here):
     first = WireDevice(1000, 10, count=100)
     os.symlink(first.path, "port")
     done = threading.Event()
@@ -232,7 +234,7 @@ def write_recording(n=3000):
 
 
 @pytest.mark.fit
-def test_a_file_replayed_is_what_infer_gives(engine, here, capsys):
+def test_a_file_replayed_is_what_infer_gives(here, capsys):
     write_recording()
     assert run("--source", "file:rec.csv", "--rate", 0) == 0
     replayed = capsys.readouterr().out
@@ -243,7 +245,7 @@ def test_a_file_replayed_is_what_infer_gives(engine, here, capsys):
 
 
 @pytest.mark.fit
-def test_mean_decimation(engine, here):
+def test_mean_decimation(here):
     write_recording()
     run(
         "--source",
@@ -264,7 +266,7 @@ def test_mean_decimation(engine, here):
 
 
 @pytest.mark.fit
-def test_frames_over_tcp_and_udp_and_a_pipe(engine, here):
+def test_frames_over_tcp_and_udp_and_a_pipe(here):
     device = WireDevice(1000, 10, count=200)
     wire = [frame for _, frame in device.frames()]
     device.unplug()

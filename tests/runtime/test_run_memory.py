@@ -23,6 +23,8 @@ from motorlens_runtime.service import memory as memory_module
 from motorlens_runtime.service.memory import Memory
 from motorlens_runtime.service.outlet import Outlet
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):

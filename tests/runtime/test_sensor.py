@@ -43,7 +43,7 @@ def test_estimates_are_those_of_a_loop_over_the_document(tmp_path, dtype, irregu
         assert (np.ptp(expected, axis=0) / scale).min() > 0.05  # the test sees something move
 
 
-def test_fewer_outputs(tmp_path):
+def test_fewer_outputs(engine, tmp_path):
     write_sensor(tmp_path / "s.onnx", outputs=1)
     sensor = load_sensor(tmp_path / "s.onnx")
     assert [output.heading for output in sensor.specification.outputs] == ["speed_rad_s"]
@@ -134,7 +134,7 @@ def set_entry(key, value):
         (lambda model: model.graph.node.pop(), "ONNX Runtime does not run it|graph of"),
     ],
 )
-def test_what_cannot_be_believed_is_refused_in_one_line(tmp_path, change, message):
+def test_what_cannot_be_believed_is_refused_in_one_line(engine, tmp_path, change, message):
     path = tmp_path / "s.onnx"
     write_sensor(path)
     resealed(path, change)

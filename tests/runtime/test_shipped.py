@@ -8,6 +8,8 @@ from motorlens_runtime.errors import ModelError
 from motorlens_runtime.files.shipped import motor_path, sensor_path, shipped
 from motorlens_runtime.sensor.sensor import load_sensor
 
+ONE_ENGINE = "it is about where files are found"
+
 MODELS = Path(__file__).resolve().parents[2] / "models"
 
 
