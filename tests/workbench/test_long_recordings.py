@@ -8,7 +8,7 @@ import pytest
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.cli import main
-from motorlens_workbench import long_recordings
+from motorlens_workbench.compare import long_recordings
 from motorlens_workbench.compare.comparison import compare
 from motorlens_workbench.report.comparison import to_json, to_text
 
