@@ -58,6 +58,7 @@ def test_scores_are_what_they_say(recording):
     assert len(shares) == 3 and all(0.92 < share < 0.98 for share in shares)
 
 
+@pytest.mark.fit
 def test_the_ratio_to_the_bound_is_the_error_over_the_bound(recording):
     found = evaluate(
         {"constant": Off(np.full(len(recording), 0.5), 1.0)}, [recording], MELLAH, Noise(0.5, 0.05, 0.02)

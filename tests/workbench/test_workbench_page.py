@@ -226,8 +226,8 @@ def test_what_the_page_may_not_do_is_said(bench):
 
 def test_only_its_own_pages_and_only_with_the_key(bench):
     Path("secret.html").write_text("secret")
-    for path in ("/", "/page.js", "/files.js", "/results.js", "/plots.js", "/curves.js", "/page.css", "/report.css",
-                 "/style.css", "/state", "/choice", "/effects"):  # fmt: skip
+    for path in ("/", "/page.js", "/files.js", "/results.js", "/plots.js", "/time_plots.js", "/curves.js", "/page.css",
+                 "/report.css", "/style.css", "/state", "/choice", "/effects"):  # fmt: skip
         assert bench.ask(path)[0] == 200
         assert bench.ask(path, Authorization="Bearer wrong")[0] == 403
         # Nothing from elsewhere: it works without a network. (The name of SVG is no address.)

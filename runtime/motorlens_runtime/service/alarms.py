@@ -213,7 +213,7 @@ class TimeToLimit:
     def _event(self, state: Course, active: bool, time_ns: int) -> Event:
         bound = f"{self.quantity.heading} {'>' if self.quantity.side > 0 else '<'} {self.limit:.4g}"
         left = "is not in sight" if math.isinf(state.left_s) else f"in {state.left_s:.0f} s"
-        message = f"{bound} {left} as things go"
+        message = f"{bound} {left} as things go" if state.left_s > 0 else f"{bound} already"
         return Event(self.name, active, time_ns, state.left_s, self.limit, message, self.quantity.file)
 
 

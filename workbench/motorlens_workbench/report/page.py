@@ -19,6 +19,7 @@ from motorlens_workbench.report.thinning import BUDGET_OCTETS, within
 SCRIPTS = (
     ("motorlens_runtime.web.uplot", "uPlot.iife.min.js"),
     ("motorlens_workbench.report", "curves.js"),
+    ("motorlens_workbench.report", "time_plots.js"),
     ("motorlens_workbench.report", "plots.js"),
 )
 # Paragraphs above the pictures.

@@ -29,6 +29,7 @@ _FILES = {
     "/files.js": (_OWN, "files.js", _JS),
     "/results.js": (_OWN, "results.js", _JS),
     "/curves.js": (_REPORT, "curves.js", _JS),
+    "/time_plots.js": (_REPORT, "time_plots.js", _JS),
     "/plots.js": (_REPORT, "plots.js", _JS),
     "/uplot.js": (f"{_SHARED}.uplot", "uPlot.iife.min.js", _JS),
     "/page.css": (_OWN, "page.css", _CSS),
