@@ -264,6 +264,7 @@ def _column(index: int, heading: str, quantity: str, unit: str, where: str) -> C
     found = conversion(canonical, unit)
     if found is None:
         raise DataError(
-            f"{where}: column {heading!r}: unknown unit {unit!r} for {quantity}; known: {_OFFERED[canonical]}"
+            f"{where}: column {heading!r}: unknown unit {unit!r} for {quantity}; known: {_OFFERED[canonical]}; say which it "
+            f"is: --column {shlex.quote(f'{canonical_name(quantity)}={heading}')}"
         )
     return Column(index, heading, quantity, *found)

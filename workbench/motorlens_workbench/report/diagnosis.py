@@ -11,10 +11,10 @@ from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.look import best_of
-from motorlens_workbench.report.json import least_text, size_text
+from motorlens_workbench.report.json import least_text, next_command, size_text
 from motorlens_workbench.report.overlay import overlay
-from motorlens_workbench.report.page import Page, Section
-from motorlens_workbench.report.pictures import Bar, Bars, Cell, Grid, Plot, Table, curves
+from motorlens_workbench.report.page import Page, Section, significant, unit_text
+from motorlens_workbench.report.pictures import Bar, Bars, Cell, Fact, Grid, Plot, Table, curves
 from motorlens_workbench.verdict import Verdict
 
 UNIT_AGAINST = {
@@ -48,18 +48,35 @@ def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command:
     if len(document["candidates"]) > 1:
         sections.append(Section("What looks alike", [_alike(found, document)]))
     sections.append(Section("Base parameters", [_parameters(found)]))
-    return Page(
-        f"motorlens diagnose: {document['motor']}", document["sentence"], summary, sections, [command]
-    )
+    title = f"motorlens diagnose: {document['motor']}"
+    return Page(title, document["sentence"], summary, sections, [command], facts=_facts(document))
+
+
+def _facts(document: dict[str, Any]) -> list[Fact]:
+    """How sure each name is, and how far the error falls with what was named."""
+    probability = {entry["name"]: entry["probability"] for entry in document["candidates"]}
+    facts = []
+    for group in document["groups"]:
+        told = [f"{name.replace('_', ' ')} {100 * probability.get(name, 0.0):.0f} %" for name in group]
+        facts.append(Fact("Probability", ", ".join(told)))
+    error = document["error"]
+    falls = [
+        f"{channel} {significant(before, 3)} to {significant(error['after'][channel], 3)} {unit_text(UNIT_OF[channel])} "
+        f"(noise floor {significant(error['noise_floor'][channel], 3)})"
+        for channel, before in error["before"].items()
+    ]
+    return [*facts, Fact("Error held out, rms", ", ".join(falls))]
 
 
 def _next_step(document: dict[str, Any]) -> list[str]:
+    told = []
     if "separating_experiment" in document:
         test = document["separating_experiment"]
-        return [f"To tell {', '.join(test['separates'])} apart: {test['why']}."]
-    if document["chosen"]:
-        return [f"Next: motorlens add {document['chosen'][0]}, and diagnose again."]
-    return []
+        names = ", ".join(name.replace("_", " ") for name in test["separates"])
+        told.append(f"To tell {names} apart: {test['why']}.")
+    if command := next_command(document):
+        told.append(f"{'To go on with the likeliest' if told else 'Next'}: {command}, and diagnose again.")
+    return told
 
 
 def _shape(verdict: Verdict) -> Plot:

@@ -204,13 +204,20 @@ def to_text(document: Mapping[str, Any]) -> str:
     if "separating_experiment" in document:
         test = document["separating_experiment"]
         rows += ["", f"To tell {', '.join(test['separates'])} apart: {test['why']}"]
-    elif document["chosen"]:
-        rows += [
-            "",
-            f"Next: motorlens add {document['chosen'][0]} --motor {shlex.quote(document['motor'])} --fit "
-            f"{shlex.join(document['recordings'])} -o better.toml, with the options of this command",
-        ]
+    if command := next_command(document):
+        begin = "To go on with the likeliest" if "separating_experiment" in document else "Next"
+        rows += ["", f"{begin}: {command}, with the options of this command"]
     return "\n".join(rows)
+
+
+def next_command(document: Mapping[str, Any]) -> str:
+    """The command that adds the likeliest of what was named; empty where that is nothing but a channel that is dead."""
+    won = {entry["name"]: entry["gain"] for entry in document["candidates"]}
+    addable = [name for name in document["chosen"] if won.get(name, 0.0) > 0]
+    if not addable:
+        return ""
+    words = ["motorlens", "add", addable[0], "--motor", document["motor"], "--fit", *document["recordings"]]
+    return shlex.join([*words, "-o", "better.toml"])
 
 
 def size_text(entry: Mapping[str, Any]) -> str:
