@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motorlens_physics.estimate.fit import Fit, inverse, plain_noise, squares, start_model
+from motorlens_physics.estimate.fit import CONVERGED, Fit, inverse, plain_noise, squares, start_model
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
@@ -32,12 +32,10 @@ from motorlens_physics.motor_file import MotorFile
 FARTHER = 4
 # Relative error of simulations until all samples are looked at.
 COARSE = 1e-4
-# Steps with all samples for which the noise is as it was found in pieces: the first make up for what those did not tell.
-TRUSTED = 2
+# Steps with all samples for which the noise is as it was found in pieces: the first makes up for what those did not tell.
+TRUSTED = 1
 # Updates of the noise at the end.
 SETTLED = 20
-# A fit this close to the minimum, in standard deviations of the result, counts as converged.
-CONVERGED = 0.3
 # What is not told is put back where it was; the others are fitted again if that moves one by more than this share of its
 # deviation.
 MOVES = 0.05
@@ -91,7 +89,7 @@ def estimate(
     point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
     point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, model, runs, runs, prior, progress)
-    point = at(replace(point.model, tolerance=model.tolerance), _with_converters_and_shaft(point), prior)
+    point = _with_converters_and_shaft(point, model.tolerance, prior)
     point, gram, left = _tempered(point, prior, progress)
     found = _concluded(point, prior, gram, left)
     said = findings(found.fit)
@@ -115,8 +113,7 @@ def beside(
         ModelError: the motor cannot be simulated where it starts.
     """
     noises = [run.noise for run in runs if run.noise is not None]
-    point = from_noise(model, runs, noises, prior.keys)
-    point = at(model, _with_converters_and_shaft(point), prior)
+    point = _with_converters_and_shaft(from_noise(model, runs, noises, prior), model.tolerance, prior)
     point, gram, left = _tempered(point, prior, progress, trusted=TRUSTED)
     return _concluded(point, prior, gram, left)
 
@@ -133,19 +130,20 @@ def _tempered(
     return point, gram, left
 
 
-def _with_converters_and_shaft(near: Weighed) -> Weighed:
+def _with_converters_and_shaft(near: Weighed, tolerance: float, prior: Prior) -> Weighed:
     """A point near the best parameters with what shows only there: how its converters lean, and where its shaft stood."""
     turned = any(
         state.kind == "angle" for effect in near.model.file.motor.effects for state in effect.states.values()
     )
     runs = _followed(near.model, near.runs) if turned else near.runs
-    parts = zip(near.parts, runs, strict=True)
-    return replace(
-        near,
-        parts=tuple(
-            replace(part, run=run.leaning(part.run.measured - part.difference)) for part, run in parts
-        ),
+    runs = tuple(
+        run.leaning(part.run.measured - part.difference) for part, run in zip(near.parts, runs, strict=True)
     )
+    alike = all(run.converters == part.run.converters for part, run in zip(near.parts, runs, strict=True))
+    if alike and not turned and tolerance == near.model.tolerance:
+        return near
+    parts = tuple(replace(part, run=run) for part, run in zip(near.parts, runs, strict=True))
+    return at(replace(near.model, tolerance=tolerance), replace(near, parts=parts), prior)
 
 
 def _followed(model: Model, runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -211,7 +209,7 @@ def _with_more(
     model = replace(starting_as(near.model, begin, more), tolerance=COARSE if any(few) else begin.tolerance)
     found = tuple(as_found(run, piece) for run, piece in zip(runs, near.runs, strict=True))
     prior = prior_of(prior, begin, runs, few)
-    point = from_noise(model, found, [part.noise for part in near.parts], prior.keys)
+    point = from_noise(model, found, [part.noise for part in near.parts], prior)
     return minimised(point, prior, progress, outliers=False, trusted=TRUSTED)[0]
 
 

@@ -24,9 +24,12 @@ Array = NDArray[np.float64]
 
 # Damping is tried this often before a fit is taken to be at its end, each ten times the last.
 TRIES = 8
-# Closer to the minimum than this, in standard deviations, what the simulation's tolerance does to the cost is as large as
-# what a step gains: a step that does not lower it is the end.
-FLAT = 0.1
+# Closer to the minimum than this, in standard deviations of the result, a step gains less than the likelihood can tell, and
+# what the simulation's tolerance does to the cost may be as much: steps are no longer judged by it.
+FLAT = 1.0
+# A fit this close counts as converged, and ends where steps get no shorter: the inputs' corrections, smoothed in windows of
+# whole samples, move it by a tenth from one to the next.
+CONVERGED = 0.3
 # Steps with white noise, to come near.
 NEAR = 8
 
@@ -43,7 +46,7 @@ class Fit:
         penalty: that of the priors.
         covariance: (k, k) of `prior.keys`.
         residuals: per run (rows, C), measured less predicted, averaged rows.
-        left: distance to the minimum, in standard deviations of the result, at the last step.
+        left: distance to the minimum where it ended, in standard deviations of the result.
     """
 
     model: Model
@@ -116,7 +119,7 @@ def minimise(
         progress: told how far there is to go.
 
     Returns:
-        the last point, J^T J there with the prior's (k, k), and how far from the minimum it was before the last step.
+        the last point, J^T J there with the prior's (k, k), and how far from the minimum it is.
 
     Raises:
         ModelError: the way leads where nothing can be simulated.
@@ -136,12 +139,12 @@ def minimise(
         gradient = gradient + np.array(
             [(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys]
         )
+        before, left = left, _length(_step(values, prior, gram, gradient, 0.0, nearest), gram)
+        if left < enough or before <= left < CONVERGED:
+            break
         moved = False
         for _ in range(TRIES):
             step = _step(values, prior, gram, gradient, damping, nearest)
-            left = float(np.sqrt(max(float(step @ gram @ step), 0.0)))
-            if left < enough:
-                break
             try:
                 trial = at(
                     point.model.with_values(
@@ -151,17 +154,22 @@ def minimise(
                 reached = trial.cost + prior.penalty(trial.model.values())
             except ModelError:
                 reached = np.inf
-            if np.isfinite(reached) and reached < cost:
+            if np.isfinite(reached) and (reached < cost or left < FLAT):
                 moved = True
                 break
-            if left < FLAT:
-                break
             damping = max(damping * 10, 1e-4)
+            if _length(step, gram) < enough:
+                break
         if not moved:
             break
         point, damping = trial, max(damping / 10, 1e-9)
         progress(f"step {k + 1}: {left:.3g} standard deviations to go")
     return point, gram, left
+
+
+def _length(step: Array, gram: Array) -> float:
+    """Of a step, in standard deviations of the result."""
+    return float(np.sqrt(max(float(step @ gram @ step), 0.0)))
 
 
 def _vector(values: Mapping[str, float], keys: Sequence[str]) -> Array:

@@ -340,9 +340,10 @@ def _smooth(  # type: ignore[no-untyped-def]
 
 def share_that_remains(time_s: Array, lasts_s: Array) -> Array:
     """(N - 1, D) `keeps` of disturbances that forget within `lasts_s` (D,) seconds; 0 s is white."""
-    steps = np.diff(time_s)[:, None]
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.where(lasts_s > 0, np.exp(-steps / lasts_s), 0.0))
+    steps, keeps = np.diff(time_s), np.zeros((len(time_s) - 1, len(lasts_s)))
+    for d in np.flatnonzero(lasts_s > 0):
+        keeps[:, d] = np.exp(-steps / lasts_s[d])
+    return keeps
 
 
 __all__: list[Any] = [

@@ -16,13 +16,11 @@ from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import (
     Weighed,
-    at,
     begun,
     from_noise,
     gained,
     minimised,
     needed,
-    noisier,
 )
 
 # How often channels that are late are looked for again.
@@ -93,8 +91,7 @@ class Timing:
         if any(few):
             longer = [as_found(run, piece) for run, piece in zip(self.longer, point.runs, strict=True)]
             noises = [part.noise for part in point.parts]
-            seen = from_noise(starting_as(point.model, self.wide, few), longer, noises)
-            seen = at(seen.model, noisier(seen, 0), self.prior)
+            seen = from_noise(starting_as(point.model, self.wide, few), longer, noises, self.prior)
         lag = likeliest_lag(seen, self.prior)
         if lag is None:
             return point

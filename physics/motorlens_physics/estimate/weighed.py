@@ -115,17 +115,27 @@ class Errors:
         if outliers:
             used = used & (np.abs(filtered.white[:, :, 0]) <= OUTLIER)
         seen, _, _ = disturbances(space, filtered)
-        shown = np.column_stack([self.run.inputs.voltage_V, self.run.inputs.load_torque_Nm])
+        shown = _shown(self.run)
         # A load brakes: what the torque balance got too little, the load sensor showed too much.
         missed = as_shown(self.frame.model, self.run, seen[:, VOLTAGE], -seen[:, LOAD])
         expected = shown + np.column_stack(missed)
-        spread = np.sqrt(noise.disturbances[[VOLTAGE, LOAD]]).tolist()
-        acted = np.column_stack([smoothed(u, sd=sd) for u, sd in zip(expected.T, spread, strict=True)])
-        corrections = acted - shown
-        if self.run.inputs.terminal is not None:
-            # Shorted terminals have no voltage to be measured wrongly.
-            corrections[self.run.inputs.terminal != Terminal.DRIVEN, 0] = 0.0
-        return replace(self, noise=noise, used=used, run=self.run.corrected(corrections))
+        return replace(self, noise=noise, used=used, run=_corrected(self.run, noise, expected))
+
+
+def _shown(run: Run) -> Array:
+    """(N, 2) voltage and load torque as their sensors show them."""
+    return np.column_stack([run.inputs.voltage_V, run.inputs.load_torque_Nm])
+
+
+def _corrected(run: Run, noise: Noise, expected: Array) -> Run:
+    """The run with its inputs corrected to what was expected (N, 2) of them, smoothed."""
+    spread = np.sqrt(noise.disturbances[[VOLTAGE, LOAD]]).tolist()
+    acted = np.column_stack([smoothed(u, sd=sd) for u, sd in zip(expected.T, spread, strict=True)])
+    corrections = acted - _shown(run)
+    if run.inputs.terminal is not None:
+        # Shorted terminals have no voltage to be measured wrongly.
+        corrections[run.inputs.terminal != Terminal.DRIVEN, 0] = 0.0
+    return run.corrected(corrections)
 
 
 @dataclass(frozen=True)
@@ -308,12 +318,14 @@ def begun(model: Model, runs: Sequence[Run], prior: Prior) -> Weighed:
     return at(model, noisier(first_point(model, runs), 0, lasting_too=True), prior)
 
 
-def from_noise(
-    model: Model, runs: Sequence[Run], noises: Sequence[Noise], keys: Sequence[str] = ()
-) -> Weighed:
-    """A point with noise that was found before; its normal equations are of `keys`."""
-    point = first_point(model, runs, keys)
-    parts = [
-        replace(part, noise=part.noise.like(known)) for part, known in zip(point.parts, noises, strict=True)
+def from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise], prior: Prior) -> Weighed:
+    """A point with noise that was found before, along inputs corrected by it."""
+    torque = model.file.rated.torque_Nm
+    noises = [
+        first_noise(run, np.ones_like(run.measured), torque).like(found)
+        for run, found in zip(runs, noises, strict=True)
     ]
-    return replace(point, parts=tuple(parts))
+    # At first by what shows in the inputs alone.
+    runs = [_corrected(run, noise, _shown(run)) for run, noise in zip(runs, noises, strict=True)]
+    point = weighed(model, runs, noises, [run.there for run in runs], ())
+    return at(model, noisier(point, 0), prior)
