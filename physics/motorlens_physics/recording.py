@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from motorlens_physics.conditions import Shaft, Terminal, code, codes
 from motorlens_physics.reading import read_table
 from motorlens_physics.reading.clock import steady
-from motorlens_physics.reading.suspicion import gaps_and_channels, no_value
+from motorlens_physics.reading.suspicion import computed_from, gaps_and_channels, no_value
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import (
@@ -224,6 +224,7 @@ class _Reader:
         table = self._complete(table)
         if "speed" not in table and "angle" in table:
             table |= self._speed_of_angle(table["time"], table["angle"])
+        table = self._measured(table)
         time = table.pop("time")
         for quantity, kind in (("terminal", Terminal), ("shaft", Shaft)):
             if quantity in table:
@@ -350,6 +351,19 @@ class _Reader:
                     )
                 self.notes.append(f"{count} rows without a value of {quantity} left out (first: row {row})")
         return {q: y[~lacking] for q, y in table.items()} if lacking.any() else table
+
+    def _measured(self, table: dict[str, Array]) -> dict[str, Array]:
+        """Without a current or a speed that was computed from the voltage: it would tell of its formula, and of no motor."""
+        kept = dict(table)
+        for quantity in ("current", "speed"):
+            times = computed_from(table[quantity], table["voltage"]) if quantity in table else None
+            if times is not None:
+                del kept[quantity]
+                self.notes.append(
+                    f"{quantity} is {times:g} times the voltage in every sample: computed from it, or the same column in "
+                    "another unit, and no measurement; it was left out"
+                )
+        return kept
 
     def _speed_of_angle(self, time: Array, angle: Array) -> dict[str, Array]:
         """The speed from a measured angle, without delay: central differences; the angle is continued over its wraps."""

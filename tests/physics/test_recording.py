@@ -147,6 +147,18 @@ def test_a_zipped_recording_reads_like_the_plain_one(tmp_path: Path) -> None:
     assert read_recording(path).channels["voltage"].tolist() == [1.0, 3.0, 5.0]
 
 
+def test_a_channel_computed_from_the_voltage_is_no_measurement(tmp_path: Path) -> None:
+    volts = 3 + 2 * np.sin(np.arange(200) / 7)
+    path = tmp_path / "rec.csv"
+    for noise, kept in ((0.0, {"voltage", "speed"}), (1e-3, {"voltage", "current", "speed"})):
+        amps = 35.15 * volts * (1 + noise * np.cos(np.arange(200)))
+        rows = np.column_stack([np.arange(200) / 1000, volts, amps, 10 * volts + np.cos(np.arange(200))])
+        np.savetxt(path, rows, "%.9g", ",", header="time_s,voltage_V,current_A,speed_rad_s", comments="")
+        recording = read_recording(path)
+        assert set(recording.channels) == kept
+        assert any("current is 35.15 times the voltage" in note for note in recording.notes) == (not noise)
+
+
 @needs_recordings
 def test_real_recordings_are_understood() -> None:
     robot = read_recording(regbot(1), REGBOT_LEFT)

@@ -158,7 +158,7 @@ def calibrate(
         raise ModelError("calibration needs at least one recording")
     runs = prepare_all(recordings, file)
     names = ", ".join(recording.name for recording in recordings)
-    if not any(_moves(run) for run in runs):
+    if not any(run.moves for run in runs):
         raise DataError(f"{names}: nothing can be told; no current, speed or temperature ever changes")
     prior = chosen(file, base_prior(file, runs), keys)
     begin = start_model(file, runs)
@@ -190,11 +190,3 @@ def chosen(file: MotorFile, prior: Prior, keys: Sequence[str] | None) -> Prior:
         if key not in prior.keys:
             raise ModelError(f"cannot fit {key!r}: the motor file states it exactly (sd = 0)")
     return prior.only([key for key in prior.keys if "@" in key or key in keys])
-
-
-def _moves(run: Run) -> bool:
-    return any(
-        np.ptp(run.measured[run.there[:, c], c]) > 0
-        for c in range(len(run.channels))
-        if run.there[:, c].any()
-    )

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motorlens_physics.estimate.fit import CONVERGED, Fit, inverse, plain_noise, squares, start_model
+from motorlens_physics.estimate.fit import CONVERGED, Fit, inverse, start_model
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
@@ -176,10 +176,7 @@ def _put_back(found: Estimate, end: Weighed, said: Findings, progress: Callable[
     )[0]
     again, gram, left = minimised(near, rest, progress, outliers=True)
     other = _concluded(again, rest, gram, left)
-    fit = replace(
-        other.fit, prior=prior, penalty=prior.penalty(again.model.values()), covariance=found.fit.covariance
-    )
-    return replace(other, fit=fit)
+    return replace(other, fit=replace(other.fit, prior=prior, covariance=found.fit.covariance))
 
 
 def _near(
@@ -223,10 +220,6 @@ def _concluded(end: Weighed, prior: Prior, gram: Array, left: float) -> Estimate
     covariance = model_based * np.outer(wider, wider)
     runs = tuple(replace(part.run, noise=part.noise) for part in end.parts)
     residuals = tuple(part.run.average(part.error) for part in end.parts)
-    whiteners = plain_noise(residuals, runs)
-    found = Fit(
-        end.model, prior, whiteners, squares(residuals, runs, whiteners), prior.penalty(end.model.values()), covariance,
-        residuals, left,
-    )  # fmt: skip
+    found = Fit(end.model, prior, covariance, residuals, left)
     outliers = sum(int(np.sum(part.run.there & ~part.used)) for part in end.parts)
     return Estimate(found, runs, left < CONVERGED, outliers)

@@ -1,8 +1,8 @@
 """Fitting a model to runs: one Levenberg-Marquardt for every way of weighing errors.
 
 Maximum a posteriori estimate of all parameters of the motor, its effects and sensors, and of the nuisances of each run,
-by simulation (output error), with what is known beforehand (`prior`). `Weighing` is what makes errors and sensitivities
-white: the noise of the recording as a state-space model (`estimate`), or an autoregression that is given (`whitening`).
+by simulation (output error), with what is known beforehand (`prior`). A `Point` weighs errors and sensitivities: by the
+noise of the recording as a state-space model (`weighed`), or, to come near, each channel by the size of its errors (`fit`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.model import Model, predict, sensitivities_of
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.whitening import Whitener, fit_whitener, white
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
@@ -41,9 +40,6 @@ class Fit:
     Attributes:
         model: with the parameters found.
         prior: what was known.
-        whiteners: noise of each run.
-        error: whitened sum of squares, priors excluded.
-        penalty: that of the priors.
         covariance: (k, k) of `prior.keys`.
         residuals: per run (rows, C), measured less predicted, averaged rows.
         left: distance to the minimum where it ended, in standard deviations of the result.
@@ -51,9 +47,6 @@ class Fit:
 
     model: Model
     prior: Prior
-    whiteners: tuple[Whitener, ...]
-    error: float
-    penalty: float
     covariance: Array
     residuals: tuple[Array, ...]
     left: float = 0.0
@@ -200,78 +193,64 @@ def _step(
 
 
 @dataclass(frozen=True)
-class _Whitened:
-    """Errors of averaged rows, made white by an autoregression."""
+class _Averaged:
+    """Errors of averaged rows, each channel of a run in units of its size (C,)."""
 
     model: Model
     runs: Sequence[Run]
     keys: tuple[str, ...]
-    whiteners: tuple[Whitener, ...]
+    sizes: Sequence[Array]
     residuals: tuple[Array, ...]
 
     @property
     def cost(self) -> float:
-        return squares(self.residuals, self.runs, self.whiteners)
+        return sum(float(np.sum(self._errors(r) ** 2)) for r in range(len(self.runs)))
 
     def normal(self) -> tuple[Array, Array]:
         gram, gradient = np.zeros((len(self.keys), len(self.keys))), np.zeros(len(self.keys))
 
         def one(r: int) -> tuple[list[int], Array, Array]:
-            run, whitener = self.runs[r], self.whiteners[r]
+            run = self.runs[r]
             mine = [k for k, key in enumerate(self.keys) if "@" not in key or key.endswith(f"@{r}")]
             columns = sensitivities_of(self.model, run, r, [self.keys[k] for k in mine])[2]
-            kept = usable(run, whitener)
-            z = whitener(run.average(columns))[kept].reshape(-1, len(mine))
-            return mine, z.T @ z, z.T @ whitener(self.residuals[r])[kept].ravel()
+            z = (run.average(columns)[run.fresh()] / self.sizes[r][:, None]).reshape(-1, len(mine))
+            return mine, z.T @ z, z.T @ self._errors(r).ravel()
 
         for mine, own, right in on_all_cores(one, range(len(self.runs))):
             gram[np.ix_(mine, mine)] += own
             gradient[mine] += right
         return gram, gradient
 
+    def _errors(self, r: int) -> Array:
+        return np.asarray(self.residuals[r][self.runs[r].fresh()] / self.sizes[r])
 
-def fit(
-    model: Model,
-    runs: Sequence[Run],
-    prior: Prior,
-    whiteners: Sequence[Whitener] | None = None,
-    *,
-    rounds: int = 12,
-    enough: float = 0.02,
-    nearest: float = 0.0,
-) -> Fit:
-    """Fit the parameters that the prior names, starting from the model, with the noise as an autoregression.
+
+def fit(model: Model, runs: Sequence[Run], prior: Prior, *, rounds: int = 12, enough: float = 0.02) -> Fit:
+    """Fit the parameters that the prior names, starting from the model, each channel weighed by the size of its errors.
 
     Args:
         model: where to begin.
         runs: prepared recordings.
         prior: the free parameters.
-        whiteners: the noise; None: white, of the size of the residuals, updated every round.
-        rounds, enough, nearest: see `minimise`.
+        rounds, enough: see `minimise`.
 
     Raises:
         ModelError: the starting point cannot be simulated, or the way from it leads where nothing can be.
     """
 
-    residuals = residuals_of(model, runs)
-    noise = tuple(whiteners) if whiteners is not None else plain_noise(residuals, runs)
-    latest = [noise]
+    latest: list[Sequence[Array]] = [()]
 
-    def at(trial: Model) -> _Whitened:
-        return _Whitened(trial, runs, prior.keys, latest[0], residuals_of(trial, runs))
+    def at(trial: Model) -> _Averaged:
+        return _Averaged(trial, runs, prior.keys, latest[0], residuals_of(trial, runs))
 
-    def between(here: _Whitened) -> _Whitened:
-        if whiteners is None:
-            latest[0] = plain_noise(here.residuals, runs)
-        return replace(here, whiteners=latest[0])
+    def between(here: _Averaged) -> _Averaged:
+        latest[0] = [_sizes(residual, run) for residual, run in zip(here.residuals, runs, strict=True)]
+        return replace(here, sizes=latest[0])
 
-    begin = _Whitened(model, runs, prior.keys, noise, residuals)
     end, gram, left = minimise(
-        begin, prior, at, rounds=rounds, enough=enough, nearest=nearest, between=between,
-        damping=1e-3 if whiteners is None else 1e-6,
-    )  # fmt: skip
-    penalty = prior.penalty(end.model.values())
-    return Fit(end.model, prior, end.whiteners, end.cost, penalty, inverse(gram), end.residuals, left)
+        at(model), prior, at, rounds=rounds, enough=enough, between=between, damping=1e-3
+    )
+    return Fit(end.model, prior, inverse(gram), end.residuals, left)
 
 
 def residuals_of(model: Model, runs: Sequence[Run]) -> tuple[Array, ...]:
@@ -285,41 +264,8 @@ def residuals_of(model: Model, runs: Sequence[Run]) -> tuple[Array, ...]:
     return tuple(run.average(run.measured - y) for run, y in zip(runs, shown, strict=True))
 
 
-def squares(residuals: Sequence[Array], runs: Sequence[Run], whiteners: Sequence[Whitener]) -> float:
-    """Whitened sum of squares over all valid rows."""
-    total = 0.0
-    for residual, run, whitener in zip(residuals, runs, whiteners, strict=True):
-        z = whitener(residual)[usable(run, whitener)]
-        total += float(np.sum(z * z))
-    return total
-
-
-def usable(run: Run, whitener: Whitener) -> NDArray[np.bool_]:
-    """(rows,) rows whose sample and all lags are valid."""
-    fresh = run.fresh()
-    kept = fresh.copy()
-    for lag in range(1, whitener.order + 1):
-        kept[lag:] &= fresh[:-lag]
-    kept[: whitener.order] = False
-    return kept
-
-
-def noise_of(residuals: Sequence[Array], runs: Sequence[Run], used: int = 0) -> tuple[Whitener, ...]:
-    """Noise models of residuals."""
-    return tuple(
-        fit_whitener(residual, run.fresh(), run.floor, used // len(runs))
-        for residual, run in zip(residuals, runs, strict=True)
-    )
-
-
-def plain_noise(residuals: Sequence[Array], runs: Sequence[Run]) -> tuple[Whitener, ...]:
-    """White noise of the residuals' size, taken robustly: where to begin."""
-    chosen = []
-    for residual, run in zip(residuals, runs, strict=True):
-        fresh = residual[run.fresh()]
-        size = np.sqrt(np.mean(fresh**2, axis=0))
-        chosen.append(white(np.maximum(size, run.floor)))
-    return tuple(chosen)
+def _sizes(residual: Array, run: Run) -> Array:
+    return np.asarray(np.maximum(np.sqrt(np.mean(residual[run.fresh()] ** 2, axis=0)), run.floor))
 
 
 def inverse(gram: Array) -> Array:

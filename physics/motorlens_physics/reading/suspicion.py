@@ -14,6 +14,9 @@ _TIMES, _LONGEST, _FAR = 3, 10, 5.0
 _EXPLAINED, _SURE = 0.5, 5.0
 # A winding is no colder, and its insulation no longer one.
 COLDEST_C, HOTTEST_C = -100.0, 400.0
+# A channel that nowhere leaves a multiple of the voltage by more than this share of itself was computed from it, if the
+# voltage takes at least so many values: a motor has an inductance, turns and warms, and a sensor has noise.
+_ROUNDED, _VALUES = 1e-5, 16
 # So many rows show a sign, or a time constant.
 _ROWS = 50_000
 # A motor stands still without a current below this share of the largest speed and current.
@@ -64,6 +67,22 @@ def no_value(y: Array, voltage: Array | None) -> float | None:
         if count >= max(_TIMES, 0.5 * np.sum(value == word)):
             return float(word)
     return None
+
+
+def computed_from(y: Array, voltage: Array) -> float | None:
+    """How many times the voltage a channel (N,) is where it is that in every sample, as nothing measured is; else None.
+
+    >>> volts = np.sin(np.arange(100.0))
+    >>> computed_from(35.15 * volts, volts), computed_from(35.15 * volts + 1e-3 * np.cos(np.arange(100.0)), volts)
+    (35.15, None)
+    """
+    there = np.isfinite(y) & np.isfinite(voltage)
+    y, voltage = y[there], voltage[there]
+    if len(np.unique(voltage[:_ROWS])) < _VALUES or not np.ptp(y):
+        return None
+    factor = float(voltage @ y / (voltage @ voltage))
+    rest = y - factor * voltage
+    return float(f"{factor:.6g}") if np.abs(rest).max() <= _ROUNDED * np.abs(y).max() else None
 
 
 def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
