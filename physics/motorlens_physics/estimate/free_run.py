@@ -17,7 +17,7 @@ from motorlens_physics.estimate.model import TOLERANCE, Model, inputs_of, motor_
 from motorlens_physics.estimate.noise import BALANCES, TORQUE, Noise
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
 from motorlens_physics.estimate.run import STATE_OF, Run
-from motorlens_physics.estimate.signals import noise_sd
+from motorlens_physics.estimate.signals import noise_sd, roughness
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import linearise
 from motorlens_physics.simulation import Trajectory
@@ -88,7 +88,15 @@ def floor_of(model: Model, run: Run, r: int, error: Array, *, averaged: int = 1)
         averaged: samples in a row of which the mean is taken.
     """
     assert run.noise is not None
-    rough = np.array([noise_sd(error[run.there[:, c], c]) for c in range(error.shape[1])])
+    rough = np.array(
+        [
+            # The steps of a converter are no rest.
+            noise_sd(e[there]) if converter.step else roughness(e[there], y[there])
+            for e, y, there, converter in zip(
+                error.T, run.measured.T, run.there.T, run.converters, strict=True
+            )
+        ]
+    )
     own = np.minimum(run.noise.channels, rough**2 + run.quantum**2)
     return np.sqrt(own / averaged + stirred_by_inputs(model, run, r, run.noise))
 

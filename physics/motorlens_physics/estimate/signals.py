@@ -30,8 +30,7 @@ def noise_sd(y: Array, step: float = 0.0) -> float:
     """
     if len(y) < 16:
         return 0.0
-    second = np.diff(y, 2)
-    at_first_sight = float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6))
+    at_first_sight = _of_second_differences(np.diff(y, 2))
     if step > 0:
         pieces = len(y) // STEADY
         cut = y[: pieces * STEADY].reshape(pieces, STEADY)
@@ -39,6 +38,32 @@ def noise_sd(y: Array, step: float = 0.0) -> float:
         if len(steady) >= FEWEST:
             return _before_conversion(float(np.mean(np.diff(steady, 2, axis=1) ** 2)) / 6, step)
     return at_first_sight
+
+
+def roughness(error: Array, shown: Array) -> float:
+    """Root mean square of white noise on a mostly smooth error of a sensor that may rest at one number without any.
+
+    A speed taken from an encoder is exactly 0 at rest. Its noise shows where the number changes, and counts for as much of
+    the time as that.
+
+    Args:
+        error: (N,) evenly sampled.
+        shown: (N,) what the sensor showed.
+
+    >>> noise = np.random.default_rng(0).standard_normal(4000)
+    >>> half = np.where(np.arange(4000) < 1000, noise, 0.0)
+    >>> round(roughness(noise, noise), 2), round(roughness(half, half), 2)
+    (0.98, 0.5)
+    """
+    same = np.diff(shown) == 0
+    moves = ~(same[1:] & same[:-1])
+    if np.count_nonzero(moves) < 14:
+        return noise_sd(error)
+    return float(np.sqrt(np.mean(moves)) * _of_second_differences(np.diff(error, 2)[moves]))
+
+
+def _of_second_differences(second: Array) -> float:
+    return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6))
 
 
 def _before_conversion(toggling: float, step: float) -> float:
