@@ -1,7 +1,7 @@
 """The fleet: what is recovered of a population that is known, what is odd, what a killed run leaves, what the queue costs.
 
-    python benchmarks/fleet.py                      200 motors of 5 recordings, 50 kills, 1000 tasks
-    python benchmarks/fleet.py --quick              40 motors, 5 kills, 100 tasks
+    python benchmarks/fleet.py                      200 motors of 5 recordings, 50 and 12 kills, 1000 tasks
+    python benchmarks/fleet.py --quick              40 motors, 50 and 3 kills, 300 tasks
     python benchmarks/fleet.py --only regbot        real robots (../shared/recordings), see real_recordings.py
 
 The motors come from an integrator of its own (`tests/helpers/plain_fleet.py`): four recordings of 6 s at 200 Hz and one of
@@ -19,6 +19,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "tests"))
 
+from fleet_studies.forked_kills import killed_often  # noqa: E402
 from fleet_studies.kills import killed  # noqa: E402
 from fleet_studies.new_motor import new_motor  # noqa: E402
 from fleet_studies.population import population, told_apart  # noqa: E402
@@ -44,15 +45,16 @@ def main() -> None:
         return a.motors or (40 if a.quick else 200)
 
     def tasks() -> int:
-        return 100 if a.quick else 1000
+        return 300 if a.quick else 1000
 
     studies: dict[str, Callable[[Path], None]] = {
         "population": lambda place: population(place, motors(), a.seed, a.workers),
         "effects": lambda place: told_apart(place, a.motors or max(motors() // 4, 20), a.seed, a.workers),
         "new_motor": lambda place: new_motor(place, 4 if a.quick else 12, a.seed, a.workers),
-        "killed": lambda place: killed(place, a.kills or (6 if a.quick else 50), a.seed),
+        "killed_often": lambda place: killed_often(place, a.kills or 50, a.seed),
+        "killed": lambda place: killed(place, a.kills or (3 if a.quick else 12), a.seed),
         "queue": lambda place: queue(tasks(), 0.5),
-        "simulated": lambda place: simulated(tasks(), a.seed),
+        "simulated": lambda place: simulated(1000, a.seed),
         "regbot": lambda place: regbot(place, a.workers),
     }
     parser.add_argument("--only", nargs="+", choices=studies, default=list(studies), help="some of it")

@@ -7,7 +7,7 @@ libraries below have their own locks and memory, and numbers come out the same w
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
@@ -30,6 +30,20 @@ DEATHS = 3
 PATIENCE_S = 30.0
 _ONE_THREAD = {
     name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+}
+
+# How Dask is set.
+SETTINGS: Mapping[str, Any] = {
+    "distributed.scheduler.allowed-failures": DEATHS,
+    "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
+    "distributed.worker.daemon": True,
+    # A hundred looks a second at what a worker does fill its memory, and nobody reads them.
+    "distributed.worker.profile.enabled": False,
+    # One task at a time a worker: when it dies, no other that waits there is blamed.
+    "distributed.scheduler.worker-saturation": 1.0,
+    # Said in our own words.
+    "distributed.admin.log-format": "%(message)s",
+    "distributed.logging": {"distributed": "critical", "distributed.scheduler": "critical"},
 }
 
 
@@ -107,17 +121,7 @@ def cluster(
     import dask
     from distributed import Client, LocalCluster
 
-    settings: dict[str, Any] = {
-        "distributed.scheduler.allowed-failures": DEATHS,
-        "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
-        "distributed.worker.daemon": True,
-        # One task at a time a worker: when it dies, no other that waits there is blamed.
-        "distributed.scheduler.worker-saturation": 1.0,
-        # Said in our own words.
-        "distributed.admin.log-format": "%(message)s",
-        "distributed.logging": {"distributed": "critical", "distributed.scheduler": "critical"},
-    }
-    with dask.config.set(settings):
+    with dask.config.set(SETTINGS):
         if scheduler is not None:
             try:
                 client = Client(scheduler, timeout="5s")
@@ -158,6 +162,7 @@ def worked(
         DeviceError: the cluster has gone.
     """
     from distributed import CancelledError, as_completed
+    from distributed.comm import CommClosedError
     from distributed.scheduler import KilledWorker
 
     gone = DeviceError("the cluster has gone; call the command again, it goes on where it was")
@@ -183,7 +188,7 @@ def worked(
         if error is None:
             try:
                 yield Done(number, future.result(timeout=PATIENCE_S))
-            except CancelledError:
+            except (CancelledError, CommClosedError):
                 raise gone from None
             except TimeoutError:
                 # The worker that held the result died before it was fetched.

@@ -338,16 +338,15 @@ def _population_rows(fleet: Fleet) -> list[list[Any]]:
 def _spread(fleet: Fleet, row: int, k: int) -> str:
     found = fleet.population
     size = (found.spreads.omega, found.spreads.psi)[row][k]
+    likely = float((found.between, found.spreads.likely[1])[row][k])
+    if likely == 0:
+        return "not told"  # one motor, or one recording of each
     unit = _unit_of_spread(fleet, k)
 
     def shown(value: float) -> str:
         return f"{100 * value * unit:.2g} %" if found.scale.relative[k] else f"{value * unit:.2g}"
 
-    return (
-        shown(float(size))
-        if size > 0
-        else f"below {shown(2 * float((found.between, found.spreads.likely[1])[row][k]))}"
-    )
+    return shown(float(size)) if size > 0 else f"below {shown(2 * likely)}"
 
 
 def _unit_of_spread(fleet: Fleet, k: int) -> float:
