@@ -23,7 +23,7 @@ import numpy as np
 from motorlens_runtime.estimate.core_estimator import open_estimator
 from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.gate import Samples
-from motorlens_runtime.line.core_link import CoreLink, open_link
+from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.line.follower import Estimated
 from motorlens_runtime.line.framing import Channel, Decoder, Hello, hello_frames, samples_frame
 from motorlens_runtime.sensor.backend import TILE
@@ -272,8 +272,7 @@ class Frames:
         self._started_ns = time.thread_time_ns()
         # A line that is never late: one period after another.
         self.arrival_ns += 1_000_000
-        take = self.decoder.followed if isinstance(self.decoder, CoreLink) else self.decoder.feed
-        return take(frame, self.arrival_ns)
+        return self.decoder.followed(frame, self.arrival_ns)
 
     def put(self, estimates: Estimates, inputs: object = None) -> None:
         self.taken_ns.append(time.thread_time_ns() - self._started_ns)

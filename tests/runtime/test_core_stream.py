@@ -10,7 +10,7 @@ from helpers.sensor_files import write_sensor
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.core_estimator import LOOK_EVERY
 from motorlens_runtime.estimate.quality import Quality
-from motorlens_runtime.line.core_link import CoreLink, open_link
+from motorlens_runtime.line.core_link import open_link
 from motorlens_runtime.line.follower import Estimated
 from motorlens_runtime.line.framing import (
     Channel,
@@ -89,8 +89,7 @@ class Line:
         data, self.arrival_ns = next(self.reads, (None, self.arrival_ns))
         if data is None:
             return None
-        take = self.decoder.followed if isinstance(self.decoder, CoreLink) else self.decoder.feed
-        samples = take(data, self.arrival_ns)
+        samples = self.decoder.followed(data, self.arrival_ns)
         self.period_s = self.decoder.period_s
         if isinstance(samples, Estimated):
             self.followed += 1

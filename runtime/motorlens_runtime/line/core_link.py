@@ -37,6 +37,8 @@ class CoreLink(Link):
         says_ambient: whether the ambient temperature is among the channels.
     """
 
+    in_core = True
+
     def __init__(self, library: ctypes.CDLL) -> None:
         super().__init__()
         self._library = library
@@ -52,19 +54,19 @@ class CoreLink(Link):
         self.stream.link = ctypes.addressof(self._memory)
         self._addresses = [ctypes.addressof(part) for part in (self._memory, self._table, self._frame)]
         self.follower: Follower | None = None
-        self._in_core = self.says_ambient = False
+        self._running = self.says_ambient = False
 
     @property
     def counters(self) -> Counters:
         """See `Link.counters`."""
-        if not self._in_core:
+        if not self._running:
             return super().counters
         clock = self._memory.clock
         return Counters(**{name: getattr(clock, name) for name in _COUNTERS})
 
     def feed(self, data: bytes, now_ns: int) -> Samples:
         """See `Dialect.feed`; stamps are the device's."""
-        if not self._in_core:
+        if not self._running:
             samples = super().feed(data, now_ns)
             self._enter()
             return samples
@@ -73,7 +75,7 @@ class CoreLink(Link):
 
     def followed(self, data: bytes, now_ns: int) -> Samples | Estimated:
         """As `feed`; on to the estimates where there is a follower and the read holds nothing but samples."""
-        if self.follower is None or not self._in_core or not data:
+        if self.follower is None or not self._running or not data:
             return self.feed(data, now_ns)
         taken = self.follower.take(data, now_ns)
         if not self._block.n:
@@ -92,7 +94,7 @@ class CoreLink(Link):
                 parts.append(self.samples())
             if self._frame.payload:
                 self._understand(parts, now_ns)
-                if not self._in_core:
+                if not self._running:
                     if taken < len(data):
                         self.bytes_seen -= len(data) - taken
                         parts.append(super().feed(data[taken:], now_ns))
@@ -135,7 +137,7 @@ class CoreLink(Link):
         self._count_of = {name: int(getattr(clock, name)) for name in _COUNTERS}
         self._decoder.hold(bytes(decoder.body[: decoder.length]), bool(decoder.overlong), decoder.bad_frames)
         self.bad_frames = self._decoder.bad_frames
-        self._in_core = False
+        self._running = False
 
     def _enter(self) -> None:
         """From Python into the core, if it is known what the numbers mean and the rate suits."""
@@ -162,4 +164,4 @@ class CoreLink(Link):
                     channel.index, channel.scale, channel.offset, channel.factor, channel.shift, channel.least, channel.most,
                 ) = numbers  # fmt: skip
         self.says_ambient = bool(into.channel[2].used)
-        self._in_core = True
+        self._running = True

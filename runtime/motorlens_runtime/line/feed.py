@@ -10,7 +10,6 @@ import numpy as np
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.files.recorded import open_recorded, period_of
-from motorlens_runtime.line.core_link import CoreLink
 from motorlens_runtime.line.dialects import Dialect, make_dialect, recognise
 from motorlens_runtime.line.follower import Estimated
 from motorlens_runtime.line.link import joined, slice_of
@@ -125,14 +124,9 @@ class LineFeed:
         if decoder is None:
             return NO_SAMPLES
         heard, self._heard = self._heard, b""
-        data = heard or data
-        if isinstance(decoder, CoreLink):
-            received = decoder.followed(data, self.arrival_ns)
-            if isinstance(received, Estimated):
-                return received
-            samples = received
-        else:
-            samples = decoder.feed(data, self.arrival_ns)
+        samples = decoder.followed(heard or data, self.arrival_ns)
+        if isinstance(samples, Estimated):
+            return samples
         if self.ambient_C is not None and samples.ambient_C is None:
             samples = Samples(
                 samples.time_ns,

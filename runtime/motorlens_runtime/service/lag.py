@@ -32,3 +32,9 @@ class Lag:
         forgotten = _DRIFT * (arrival_ns - self._at_ns)
         self._best_ns = lag_ns if self._best_ns is None else min(self._best_ns + forgotten, lag_ns)
         self._at_ns = arrival_ns
+
+    def late(self, arrival_ns: int, newest_ns: int) -> bool:
+        """Whether samples that have arrived are late; they are noted."""
+        late_ns = self.late_ns(arrival_ns)
+        self.note(arrival_ns, newest_ns)
+        return newest_ns <= late_ns

@@ -136,20 +136,19 @@ class Service:
     def _estimated(self, estimator: Estimator, samples: Samples, arrival_ns: int) -> Estimated:
         """What the estimator makes of samples; from the next read on the line's decoder may have it done by itself."""
         first_ns, newest_ns = int(samples.time_ns[0]), int(samples.time_ns[-1])
-        late_ns = self._lag.late_ns(arrival_ns)
-        self._lag.note(arrival_ns, newest_ns)
-        if newest_ns <= late_ns:
+        if self._lag.late(arrival_ns, newest_ns):
             flags = np.zeros(len(samples), dtype=np.uint32) if samples.flags is None else samples.flags
             samples = replace(samples, flags=flags | np.uint32(Quality.OVERLOAD))
-        marking = self._memory is not None and self._memory.marking
+        marking = False
         if self._memory is not None:
-            samples = self._memory.mark(samples)
+            marking, samples = self._memory.marking, self._memory.mark(samples)
         rows = self._grid.rows(samples.time_ns)
         estimates = estimator.push(samples, rows)
         inputs = np.empty((len(rows), 2))
         chosen = slice(None) if len(rows) == len(samples) else rows
         inputs[:, 0], inputs[:, 1] = samples.voltage_V[chosen], samples.current_A[chosen]
-        if not marking:
+        decoder = self._feed.decoder
+        if decoder is not None and decoder.in_core and not marking:
             follow(self._feed, estimator, self._grid, self._lag)
         return Estimated(len(samples), first_ns, newest_ns, estimates, inputs, lambda: samples, lambda: rows)
 

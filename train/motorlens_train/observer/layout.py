@@ -54,7 +54,7 @@ class ObserverSettings:
     period_s: float | None = None
     load_walk: float = 0.002
     load_jump: float = 0.4
-    jump_every: float = 4000.0
+    jump_every: float = 400.0
     jump_lasts: float = 3.0
     thermal_walk: float = 0.005
     model_sd: float = 2e-4

@@ -14,6 +14,7 @@ from typing import Any
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.line.follower import Estimated
 from motorlens_runtime.options import Options, nearest
 
 
@@ -25,12 +26,14 @@ class Dialect(ABC):
         bad_frames: pieces that looked like a message and were damaged or not understood.
         asks: whether the drive must be asked; `request` and `patience_s` are of use only then.
         announces: whether the drive says itself how often it samples; else its samples show it.
+        in_core: whether it is the C core's, which can go on to estimates in the same call; see `service.core_stream`.
         period_s: time between samples, None where that is not announced, or not yet.
         device: what the drive calls itself.
     """
 
     asks = False
     announces = False
+    in_core = False
     period_s: float | None = None
     device = ""
 
@@ -47,6 +50,10 @@ class Dialect(ABC):
             now_ns: when they came, by a clock that never runs backwards. The stamps of the samples are of this clock,
                 and never run backwards either, even where the device's own clock does.
         """
+
+    def followed(self, data: bytes, now_ns: int) -> Samples | Estimated:
+        """As `feed`, or what was made of the samples, where the dialect can go on to that."""
+        return self.feed(data, now_ns)
 
     def request(self, now_ns: int) -> bytes:
         """What to send to the drive now: nothing unless the drive must be asked, and not before it is due."""
