@@ -8,6 +8,9 @@
 
 #include "link.h"
 #include "sensor.h"
+#if !MOTORLENS_SINGLE
+#include "stream.h"
+#endif
 
 #define ROOM 512
 
@@ -73,6 +76,34 @@ static void estimate(const motorlens_samples *samples, int64_t most)
     }
 }
 
+#if !MOTORLENS_SINGLE
+/* The same bytes in one call from the line to estimates, with an instant of publishing every few samples or none. */
+static void follow(motorlens_link *link, const uint8_t *data, int64_t size, int64_t instant_ns)
+{
+    static int64_t time_ns[ROOM], published_ns[ROOM], rows[ROOM];
+    static double columns[3][ROOM], estimates[4][ROOM * MOTORLENS_OUTPUTS], inputs[2 * ROOM];
+    static uint32_t flags[ROOM], words[ROOM];
+    motorlens_state state;
+    motorlens_stream stream;
+    int64_t taken = 0;
+    motorlens_start(&motor_sensor, &state, 1000000);
+    memset(&stream, 0, sizeof stream);
+    stream.link = link, stream.sensor = &motor_sensor, stream.state = &state;
+    stream.samples.time_ns = time_ns, stream.samples.flags = flags, stream.samples.room = ROOM;
+    stream.samples.voltage_V = columns[0], stream.samples.current_A = columns[1], stream.samples.ambient_C = columns[2];
+    stream.block.time_ns = time_ns, stream.block.flags = flags, stream.block.quality = words;
+    stream.block.voltage_V = columns[0], stream.block.current_A = columns[1];
+    stream.block.estimate = estimates[0], stream.block.sigma = estimates[1];
+    stream.values = estimates[2], stream.sigma = estimates[3], stream.inputs = inputs, stream.time_ns = published_ns;
+    stream.rows = rows, stream.instant_ns = instant_ns, stream.instant = MOTORLENS_NO_INSTANT, stream.ambient_C = 20.0;
+    while (taken < size) {
+        taken += motorlens_stream_take(&stream, data + taken, size - taken, 1000000 * taken);
+        if (stream.block.n > ROOM || stream.block.m > stream.block.n || (stream.backwards && stream.block.n))
+            abort(); /* the line's time never runs backwards */
+    }
+}
+#endif
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
@@ -81,6 +112,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     double voltage_V[ROOM], current_A[ROOM], ambient_C[ROOM];
     uint32_t flags[ROOM];
     uint8_t wire[MOTORLENS_MAX_BODY + 1];
+#if !MOTORLENS_SINGLE
+    uint8_t line[4096];
+    size_t heard = 0;
+    motorlens_link fresh;
+#endif
     motorlens_samples samples = {time_ns, voltage_V, current_A, ambient_C, flags, ROOM, 0};
     motorlens_link link;
     motorlens_frame other;
@@ -104,11 +140,20 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         const motorlens_channel channel = {0.1, 0.0, 1.0, 0.0, -2048.0, 2047.0, c, 1};
         link.scaling.channel[c] = channel;
     }
+#if !MOTORLENS_SINGLE
+    fresh = link;
+#endif
     /* Frames of its own, each led by its length, that are sound; then the bytes as they are. */
     while (size > 1 && samples.count + MOTORLENS_LARGEST_FRAME <= ROOM) {
         const size_t length = data[0] < size - 1 ? data[0] : size - 1, bytes = framed(data + 1, length, wire);
         for (taken = 0; taken < (int64_t)bytes && samples.count + MOTORLENS_LARGEST_FRAME <= ROOM;)
             taken += motorlens_link_feed(&link, wire + taken, (int64_t)bytes - taken, now_ns += 1000000, &samples, &other);
+#if !MOTORLENS_SINGLE
+        if (heard + bytes <= sizeof line) {
+            memcpy(line + heard, wire, bytes);
+            heard += bytes;
+        }
+#endif
         data += 1 + length;
         size -= 1 + length;
         if (length == 0)
@@ -119,5 +164,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     if (link.decoder.length > MOTORLENS_MAX_BODY || samples.count > ROOM)
         abort();
     estimate(&samples, most);
+#if !MOTORLENS_SINGLE
+    if (most == ROOM)
+        follow(&fresh, line, (int64_t)heard, size & 1 ? 3000000 : 0);
+#endif
     return 0;
 }

@@ -32,13 +32,25 @@ def main() -> int:
         print("no clang here: not fuzzed")
         return 0
     runs = arguments.runs or (100_000 if arguments.quick else 10_000_000)
+    failed = [fuzzed(arguments.sensor, precision, runs // 2) for precision in ("single", "double")]
+    return int(any(failed))
+
+
+def fuzzed(sensor: str, precision: str, runs: int) -> bool:
+    """Feed an exported sensor that many inputs; whether something was found. In double, the PC's one call is fed as well."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "c"
-        if motorlens(["export", arguments.sensor, "--c", str(folder)]):
-            return 1
+        if motorlens(
+            ["export", sensor, "--c", str(folder), *(["--double"] if precision == "double" else [])]
+        ):
+            return True
         sources = [
             path for path in sorted(folder.glob("*.c")) if path.name not in ("main.c", "golden_test.c")
         ]
+        if precision == "double":
+            for name in ("stream.c", "stream.h"):
+                shutil.copy(ROOT / "runtime" / "core" / name, folder)
+            sources.append(folder / "stream.c")
         subprocess.run(
             ["clang", "-std=c99", "-O1", "-g", "-ffp-contract=off", "-fsanitize=fuzzer,address,undefined",
              "-fno-sanitize-recover=all", f"-I{folder}", "-o", f"{scratch}/fuzz", *sources, HERE / "fuzz_core.c", "-lm"],
@@ -50,11 +62,13 @@ def main() -> int:
     covered = re.findall(r"cov: (\d+)", done.stderr)
     executed = done_runs.group(1) if done_runs else "?"
     print(
-        f"{executed} inputs, {covered[-1] if covered else '?'} edges covered, exit status {done.returncode}"
+        f"{precision} precision: {executed} inputs, {covered[-1] if covered else '?'} edges covered, "
+        f"exit status {done.returncode}",
+        flush=True,
     )
     if done.returncode:
         print(done.stderr[-2000:])
-    return int(done.returncode != 0)
+    return done.returncode != 0
 
 
 def checked() -> None:

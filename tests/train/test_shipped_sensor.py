@@ -4,9 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.changing import drive
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.scenario import perform
+from motorlens_runtime.estimate.core_estimator import open_estimator
+from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.sensor.sensor import load_sensor
 from motorlens_train.baselines.method import OUTPUTS
 from motorlens_train.duty_cycles import TrainingDuty, duty_cycle, with_noise
@@ -103,3 +106,28 @@ def test_training_from_the_motor_is_reproducible(tmp_path: Path) -> None:
         more = ["--hidden", "4", "--iterations", "8", "-o", str(files[-1])]
         assert main(["train", *arguments, *more]) == 0
     assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("share", [1.0, 1.15])
+def test_what_the_observer_cannot_foretell_makes_it_as_unsure_as_at_the_start(share: float) -> None:
+    """A contact that goes bad while the motor runs: by a plant of its own, what the next change of the voltage shows is
+    believed again; and where nothing has happened nothing is forgotten."""
+    dt, n = 2e-3, 12_000
+    t = np.arange(n) * dt
+    voltage = np.select([t < 1, t < 8, t < 16], [0.0, 120.0, 200.0], 100.0)
+    load = np.select([t < 12, t < 18], [2.0, 6.0], 4.0)
+    current, speed = drive(voltage, load, dt, resistance=np.where(t < 10, 1.0, share))
+    rng = np.random.default_rng(0)
+    samples = Samples(
+        np.round(t * 1e9).astype(np.int64), voltage + 0.1 * rng.standard_normal(n),
+        current + 0.01 * rng.standard_normal(n), np.full(n, 20.0),
+    )  # fmt: skip
+    rows = np.arange(int(10.5 / dt), n, 50)
+    found = open_estimator(load_sensor(OBSERVER), dt).push(samples, rows)
+    off = np.abs(found.values[:, 0] - speed[rows]) / found.sigma[:, 0]
+    assert np.mean(off < 1.96) >= 0.93
+    # Resistance is told by its temperature, to which 15 % are 37.5 K.
+    ohms = 3.5 * (1 + 0.004 * found.values[-1, 1])
+    assert ohms == pytest.approx(3.5 * share, rel=0.01)
+    assert (found.sigma[-1, 1] < 0.4) if share == 1.0 else (0.3 < found.sigma[-1, 1] < 3.0)

@@ -4,7 +4,7 @@ Where the motor is the file's, its observer errs by chance, and a network could 
 cycles. So there is none, nor filters to feed it, and the sensor is right wherever the observer's equations are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -46,11 +46,15 @@ def observer_alone(recipe: Recipe, file: MotorFile) -> Sensor:
     return Sensor(recipe.name, specification, None, Frame.of(recipe.bank, recipe.outputs))
 
 
-def card_of(sensor: Sensor, unseen: Sequence[Cycle], seed: int) -> dict[str, Any]:
-    """What is said of it: its errors on simulated cycles, if there are any."""
+def card_of(
+    sensor: Sensor, unseen: Sequence[Cycle], cases: Mapping[str, Sequence[Cycle]], seed: int
+) -> dict[str, Any]:
+    """What is said of it: its errors on simulated cycles, if there are any, and on how many samples it is judged: of those
+    and of further `cases`."""
+    judged = [one for cycles in (unseen, *cases.values()) for one in cycles]
     return {
         "network": "observer alone", "parameters": 0, "seed": seed, "unseen_cycles": len(unseen),
-        "samples_seen": sum(c.rows for c in unseen), "unseen": measured(sensor, unseen) if unseen else {},
+        "samples_seen": sum(c.rows for c in judged), "unseen": measured(sensor, unseen) if unseen else {},
         "operations": {
             key: len(getattr(sensor.bank.observer, key).steps) for key in ("accumulate", "correct", "read")
         },

@@ -131,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         assert observed is not None
         sensor = observer_alone(material.recipe, observed)
-        card = card_of(sensor, material.unseen, arguments.seed)
+        card = card_of(sensor, material.unseen, material.cases, arguments.seed)
     cases = {title: measured(sensor, cycles) for title, cycles in material.cases.items()}
     card |= {"trained_on": material.origin, "cases": cases}
     judged = read_motor_file(arguments.motor) if arguments.motor and observed is not None else own

@@ -21,6 +21,8 @@ MOST_ODDS = 50.0
 # What the innovations of about sixteen windows have in common, beyond twice what chance gives: a load's jump before it is
 # noticed. It widens the speed.
 LAG = 0.125
+# How often something happens to a motor of which its model knows nothing, per second: once an hour.
+UNKNOWN = 1 / 3600
 
 
 def correct(layout: Layout) -> Program:
@@ -55,6 +57,11 @@ def correct(layout: Layout) -> Program:
     def both(a: Any, b: Any) -> Any:
         return a + share * (b - a)
 
+    # What neither branch foretells, by far, has another cause than they know: the states are as unknown as at the start.
+    lost = (
+        still.log.max(changing.log) <= both(still.fresh, changing.fresh) + math.log(layout.period * UNKNOWN)
+    ) * believed
+
     one, two = still.window, changing.window
     K = [both(a, b) for a, b in zip(one.K, two.K, strict=True)]
     filtered = Window(
@@ -68,11 +75,16 @@ def correct(layout: Layout) -> Program:
         one.changes,
         share,
     )
-    kept, hold, shift = told(layout, known, common, window, memory, found, filtered, believed)
-    new = [([x + d for x, d in zip(s.x, shift, strict=True)], s.P) for s in (still, changing)]
+    kept, hold, shift = told(layout, known, common, window, memory, found, filtered, believed * (1.0 - lost))
+    new = [
+        ([x + d for x, d in zip(s.x, shift, strict=True)], _either(lost, layout.covariance, s.P))
+        for s in (still, changing)
+    ]
     surprise = both(still.surprise, changing.surprise) * believed
     drift = memory["drift"] + believed * LAG * (filtered.error - memory["drift"])
-    after = found.memory | noise_memory(memory, both(still.own, changing.own), believed)
+    after = found.memory | noise_memory(
+        memory, both(still.own, changing.own), both(still.told, changing.told) * believed, believed
+    )
     after |= {
         "odds": odds,
         "restless": memory["restless"] + (1 - math.exp(-1 / 100)) * (surprise - 1.0 - memory["restless"]),
@@ -95,6 +107,11 @@ def correct(layout: Layout) -> Program:
     return r.program([*fresh, *(after[name] for name in MEMORY), *kept, *stored(track), *layout.pack(new)])
 
 
+def _either(first: Any, a: list[list[Any]], b: list[list[Any]]) -> list[list[Any]]:
+    """The one covariance or the other."""
+    return [[first.select(x, y) for x, y in zip(*rows, strict=True)] for rows in zip(a, b, strict=True)]
+
+
 def unseen(layout: Layout, T: Any, gap: Any) -> Any:
     """Variance that a gap of T seconds adds to the winding's temperature, K^2."""
     motor, rated = layout.motor, layout.rated
@@ -112,6 +129,8 @@ class _Step:
     surprise: Any
     log: Any
     own: Any
+    told: Any
+    fresh: Any
     window: Window
 
 
@@ -220,12 +239,16 @@ def _advanced(
     fastest = 4 * rated.speed_rad_s
     new[w] = gap.select(after, new[w]).max(-fastest).min(fastest)
     surprise = error * error / S
-    own = error / (S - (found.colour - 1.0) * white).sqrt()
+    expected = S - (found.colour - 1.0) * white
+    # Had it been known no better than at the start.
+    S_fresh = dot(H, [dot(row, H) for row in layout.covariance]) + noise
     return _Step(
         new,
         P,
         surprise,
         (surprise + S.log()) * -0.5,
-        own,
+        error / expected.sqrt(),
+        white / expected,
+        (error * error / S_fresh + S_fresh.log()) * -0.5,
         Window(error, S, K, H, F, rates, near, changes, 0.0),
     )

@@ -36,7 +36,9 @@ class ObserverSettings:
         period_s: window; None: a tenth of the mechanical time constant, at most 10 ms.
         load_walk: of the load while it stands still, rated torques per square root of a second.
         load_jump: of the load while it changes, rated torques per square root of a mechanical time constant.
-        jump_every, jump_lasts: how long it stands still and how long it changes, mechanical time constants.
+        jump_every, jump_lasts: how long it stands still and how long it changes, mechanical time constants. The first is
+            a minute of a motor that settles in 150 ms: where noise hides a jump that was not expected, it passes for a
+            temperature.
         thermal_walk: of the winding beyond its model, K per square root of a second.
         model_sd: what the electrical balance itself is good to, in rated voltages.
         bend_sd: what the corrections for a current that bends within a window are good to, as a share of them.

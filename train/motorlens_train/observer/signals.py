@@ -98,13 +98,14 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     return Signals(level, colour, share, slope, weighing, free, turned, lean, noise, coarse, kept)
 
 
-def noise_memory(memory: Mapping[str, Value], error: Any, believed: Any) -> dict[str, Any]:
+def noise_memory(memory: Mapping[str, Value], error: Any, told: Any, believed: Any) -> dict[str, Any]:
     """Level and colour of the noise after an innovation `error`, in its own white deviations.
 
-    The level follows the mean logarithm, which an outlier moves no more than a small one.
+    The level follows the mean logarithm, which an outlier moves no more than a small one. A window counts by what of its
+    variance is white noise, `told`: where the states are hardly known, an innovation tells of them.
     """
-    count = (memory["count"] + 1.0).min(WINDOWS)
-    pace = believed / (count + PRIOR)
+    count = (memory["count"] + told).min(WINDOWS)
+    pace = told / (count + PRIOR)
     larger = ((error * error + 1e-9).log() + LOG_SQUARE).max(-MOST_LOG).min(MOST_LOG)
     product = (error * memory["error"]).max(-MOST_LOG).min(MOST_LOG)
     return {
