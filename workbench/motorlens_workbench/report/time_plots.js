@@ -70,8 +70,10 @@ class TimePlots {
   }
 
   draw(spec, last) {
+    // High contrast has too few colours to tell lines by: what is off, or was before, is dashed.
+    const dashed = matchMedia("(forced-colors: active)").matches ? [7, 4] : undefined;
     const unit = unitOf(spec.unit), value = (u, v) => v === null || v === undefined ? "–" : `${short(v)}${unit ? " " + unit : ""}`;
-    const series = spec.lines.map(line => ({label: line.name, stroke: () => colour(line.role), width: 1.3, value, points: {size: 4}}));
+    const series = spec.lines.map(line => ({label: line.name, stroke: () => colour(line.role), dash: line.role === "lacking" ? dashed : undefined, width: 1.3, value, points: {size: 4}}));
     const data = [this.time, ...spec.lines.map(line => this.values(line))];
     const u = this.scene.add({
       height: (spec.height || 190) + (last ? 20 : 0), axes: axes(last ? "time, s" : "", spec.title.endsWith(" error") ? `error, ${unit}` : `${spec.title}, ${unit}`),
