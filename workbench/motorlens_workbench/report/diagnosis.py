@@ -96,6 +96,8 @@ def _shape(verdict: Verdict) -> Plot:
 
 def _overlays(found: Finding, document: dict[str, Any]) -> Content:
     plots: Content = []
+    # One recording is drawn, so both models stand beside it as the last one has its clock.
+    remark = "Delays between channels are those found with what was named." if found.outcome.accepted else ""
     for r, run in enumerate(found.runs):
         run = replace(run, corrections=None)
         trajectory, before = predict(found.base.fit.model, run, r)
@@ -105,7 +107,7 @@ def _overlays(found: Finding, document: dict[str, Any]) -> Content:
                 "predicted",
                 predict(found.outcome.last.fitted.model, run, r)[1],
             )
-        plots.append(overlay(run, trajectory, predicted, document["error"]["noise_floor"]))
+        plots.append(overlay(run, trajectory, predicted, document["error"]["noise_floor"], remark=remark))
     return plots
 
 

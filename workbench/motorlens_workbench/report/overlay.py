@@ -18,6 +18,7 @@ def overlay(
     predicted: Mapping[str, tuple[str, Array]],
     noise: Mapping[str, float],
     lacks: Mapping[str, Series] | None = None,
+    remark: str = "",
 ) -> Plot:
     """The plots of one recording.
 
@@ -27,6 +28,7 @@ def overlay(
         predicted: name of a model -> its colour and (N, C) what it predicts.
         noise: channel -> standard deviation of the noise floor; the band is twice that.
         lacks: equation -> (N,) what it lacks.
+        remark: what the caption ends with.
     """
     axes: list[Axes] = []
     data: dict[str, Series] = {}
@@ -65,4 +67,5 @@ def overlay(
         f"{run.name}. Drag to zoom, double-click for all of it. The grey band is two standard "
         "deviations of the noise floor."
     )
+    caption += f" {remark}" if remark else ""
     return time_plots(run.name, inputs.time_s, axes, data, states, named, caption)
