@@ -37,8 +37,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.html:
         words = ["motorlens", "compare", *arguments.recordings, *input_words(arguments)]
         say("writing the page")
+        # What is suspected first: of what was not used there may be much.
+        noticed = [f"{one.name}: {note}" for one in recordings for note in one.notes]
+        noticed.sort(key=lambda note: ": not used: " in note)
         write(
-            to_html(found, arguments.recordings, arguments.motor, shlex.join(words)),
+            to_html(found, arguments.recordings, arguments.motor, shlex.join(words), noticed),
             arguments.html,
             every_sample=arguments.every_sample,
         )

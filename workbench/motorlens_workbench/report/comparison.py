@@ -127,11 +127,14 @@ def to_text(found: Comparison) -> str:
     return "\n".join([*rows, *([""] if found.notes else []), *found.notes])
 
 
-def to_html(found: Comparison, recordings: Sequence[str], motor: str, command: str) -> Page:
-    """The page of `--html`."""
+def to_html(
+    found: Comparison, recordings: Sequence[str], motor: str, command: str, remarks: Sequence[str] = ()
+) -> Page:
+    """The page of `--html`; `remarks` are what was noticed in reading."""
     summary = [
         f"Motor file {motor}, run freely on {', '.join(recordings)}, driven by the measured inputs; nothing of the motor "
         "was fitted. What is missing is the question of motorlens diagnose.",
+        *(f"{remark}." for remark in remarks),
         "The noise floor is what a perfect model would miss by: the noise of the sensor itself, and what the noise of the "
         "measured inputs stirs up in the simulation and did not stir up in the motor.",
         *(f"{note}." for note in found.notes),

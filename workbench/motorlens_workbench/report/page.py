@@ -132,15 +132,15 @@ def write(page: Page, path: Path | str, *, every_sample: bool = False) -> None:
 def significant(value: Any, digits: int = 4) -> str:
     """A number with so many significant digits, anything else as it is.
 
-    >>> significant(130.04), significant(0.00001234), significant(True), significant(123456.7), significant(1446.9, 3)
-    ('130', '1.234e-05', 'True', '123500', '1450')
+    >>> significant(130.04), significant(0.00001234), significant(True), significant(123456.7), significant(195.0, 2)
+    ('130', '1.234e-05', 'True', '123500', '200')
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
         return str(value)
     if isinstance(value, int | np.integer):
         return f"{value:d}"
     short = float(f"{value:.{digits}g}") + 0.0  # no -0
-    return f"{short:.0f}" if 1e3 <= abs(short) < 1e7 and short == int(short) else f"{short:.{digits}g}"
+    return f"{short:.0f}" if abs(short) < 1e7 and short == int(short) else f"{short:.{digits}g}"
 
 
 def unit_text(unit: str) -> str:
