@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.stats import gumbel_r
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.model import with_sensor
@@ -16,8 +17,10 @@ from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.contest import worth
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor
+from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import consistent, held_score
 from motorlens_workbench.diagnose import fitted_of
+from motorlens_workbench.evidence.null import Null
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.standing import unlikelihood, unlikely_from
 
@@ -65,6 +68,24 @@ def test_a_name_is_held_by_the_weaker_of_both_ways_to_take_the_noise(monkeypatch
     assert held_score("book", "plain", None, None).weight == 7.0  # type: ignore[arg-type,union-attr]
     told[weaker] = None  # type: ignore[assignment]
     assert held_score("book", "plain", None, None) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("colour", "named", "least", "most"),
+    [
+        (0.0, True, 1e-4, 1e-3),
+        (90.0, True, 1e-4, 1e-3),
+        (110.0, True, 1e-8, 1e-6),
+        (0.0, False, 1e-15, 1e-13),
+    ],
+)
+def test_a_hypothesis_must_lie_farther_out_where_the_noise_is_not_what_its_model_says(
+    colour, named, least, most
+):
+    """Gumbel's distribution by another's code; the colour of 10 000 samples either side of what is still white."""
+    here = SimpleNamespace(null=Null(6.0, 0.8), book=SimpleNamespace(colour=colour, samples=10_000))
+    rate = gumbel_r(6.0, 0.8).sf(needed_weight(here, (), named=named))  # type: ignore[arg-type]
+    assert least <= rate <= most
 
 
 @pytest.mark.fit

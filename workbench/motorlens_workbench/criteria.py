@@ -9,12 +9,16 @@ class Criteria:
 
     The first four say when a hypothesis is beyond what recordings show in which nothing is missing, `follows` when the model
     is (`python benchmarks/null.py --count 60 --seed 1`, and 2, prints how large the largest of them get: all but two of 120
-    worlds stay below, and those are near standstill at one sample a second). Flips of signs alone would put `excess` and
-    `unnamed` near 5: misfit that is no missing physics has the same sign in every block.
+    worlds stay below, and those are near standstill at one sample a second). Flips of signs alone would put `excess` near 5:
+    misfit that is no missing physics has the same sign in every block. It is larger where the noise is not what its model
+    says, so both kinds of recordings are calibrated apart, as in Mondrian conformal prediction (Vovk, Gammerman and Shafer
+    2005, ISBN 978-0-387-00152-4, section 4.5).
 
     Attributes:
-        excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode.
-        unnamed: the same of a term without one.
+        excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode; twice as far
+            where the noise is not white, and a term without a name four times as far.
+        white: twice the logarithmic likelihood that colour left in the noise wins, per sample, up to which the noise
+            counts as white.
         colour: share of the likelihood that colour left in the noise wins, by which a name must raise it. Where the noise is
             not what the model of it says, as much has other reasons.
         unnamed_colour: the same of a term without a name.
@@ -25,13 +29,12 @@ class Criteria:
         largest: multiples of its typical size that an effect or a fault may have, one standard deviation.
         tempered: how many times as wide as the likelihood says the weights of rivals are.
         credible: probability that a group of rivals holds.
-        blocks: of time, between which scatter is seen.
         follows: error over the noise of a channel, on what was not fitted to, from which on something is missing, even if no
             hypothesis says what: more than colour and slow noise leave in worlds with nothing missing.
     """
 
-    excess: float = 16.0
-    unnamed: float = 30.0
+    excess: float = 8.0
+    white: float = 0.01
     colour: float = 0.0005
     unnamed_colour: float = 0.25
     doubt: float = 0.2
@@ -40,7 +43,6 @@ class Criteria:
     largest: float = 10.0
     tempered: float = 4.0
     credible: float = 0.95
-    blocks: int = 64
     follows: float = 4.5
 
 

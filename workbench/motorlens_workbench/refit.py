@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.estimate import estimate, near
 from motorlens_physics.estimate.fit import inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
@@ -68,14 +68,28 @@ def anew(fitted: Fitted) -> Fitted | None:
     It begins at the motor file, not where the model without them had ended: what is missing bends the parameters, and may
     pass for a delay or for inputs that ran otherwise. None if it leads where nothing can be simulated.
     """
-    runs = [run.as_recorded for run in fitted.runs]
-    textbook = {key: centre for key, centre in fitted.prior.centre.items() if not {".", "@"} & set(key)}
-    file = fitted.model.file.with_values(textbook)
+    begin, runs = _beginning(fitted)
     try:
-        found = estimate(file, runs, fitted.prior, begin=start_model(file, runs))
+        found = estimate(begin.file, runs, fitted.prior, begin=begin)
     except ModelError:
         return None
     return Fitted(found.fit.model, fitted.prior, found.runs, float("inf"), found.fit.covariance)
+
+
+def nearly(fitted: Fitted) -> Weighed | None:
+    """How `anew` begins: near the best parameters, as far as pieces of long recordings tell."""
+    begin, runs = _beginning(fitted)
+    try:
+        return near(runs, fitted.prior, begin)
+    except ModelError:
+        return None
+
+
+def _beginning(fitted: Fitted) -> tuple[Model, list[Run]]:
+    """The model as its motor file has it, but for effects and sensors' faults, and the runs as they were recorded."""
+    runs = [run.as_recorded for run in fitted.runs]
+    textbook = {key: centre for key, centre in fitted.prior.centre.items() if not {".", "@"} & set(key)}
+    return start_model(fitted.model.file.with_values(textbook), runs), runs
 
 
 def begun(fitted: Fitted, score: Score) -> Fitted:

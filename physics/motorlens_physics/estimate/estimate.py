@@ -85,8 +85,7 @@ def estimate(
     model = start_model(file, runs) if begin is None else begin
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
-    progress("coming near")
-    point = _near(replace(model, tolerance=COARSE), runs, prior, held, progress)
+    point = near(runs, prior, model, held=held, progress=progress)
     point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, model, runs, runs, prior, progress)
     point = _with_converters_and_shaft(point, model.tolerance, prior)
@@ -96,6 +95,29 @@ def estimate(
     if said.told and said.untold and _shifted(found, said):
         found = _put_back(found, point, said, progress)
     return replace(found, runs=_followed(found.fit.model, found.runs))
+
+
+def near(
+    whole: Sequence[Run],
+    prior: Prior,
+    begin: Model,
+    *,
+    held: bool | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Weighed:
+    """Near the best parameters: in pieces of long runs, with delays, the way inputs ran between samples, and noise.
+
+    Args: as of `estimate`.
+
+    Raises:
+        ModelError: the motor cannot be simulated where it starts.
+    """
+    progress("coming near")
+    begin = replace(begin, tolerance=COARSE)
+    wide, longer = pieces_of(begin, whole, FARTHER * PIECE)
+    model, runs = pieces_of(wide, longer, PIECE)
+    timing = Timing(model, wide, longer, prior_of(prior, begin, runs, cut(whole, runs)), progress)
+    return timing.likeliest(timing.near(model, runs), free=held is None)
 
 
 def beside(
@@ -177,16 +199,6 @@ def _put_back(found: Estimate, end: Weighed, said: Findings, progress: Callable[
     again, gram, left = minimised(near, rest, progress, outliers=True)
     other = _concluded(again, rest, gram, left)
     return replace(other, fit=replace(other.fit, prior=prior, covariance=found.fit.covariance))
-
-
-def _near(
-    begin: Model, whole: Sequence[Run], prior: Prior, held: bool | None, progress: Callable[[str], None]
-) -> Weighed:
-    """Near the best parameters: in pieces of long runs, with delays, the way inputs ran between samples, and noise."""
-    wide, longer = pieces_of(begin, whole, FARTHER * PIECE)
-    model, runs = pieces_of(wide, longer, PIECE)
-    timing = Timing(model, wide, longer, prior_of(prior, begin, runs, cut(whole, runs)), progress)
-    return timing.likeliest(timing.near(model, runs), free=held is None)
 
 
 def _with_more(

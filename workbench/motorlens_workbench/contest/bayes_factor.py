@@ -3,11 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.ledger import Score
 from motorlens_workbench.fitted import Challenger
+
+Array = NDArray[np.float64]
 
 # Orders of magnitude over which the prior of a free curve's size is spread (Zellner's g).
 SPREAD = 10.0 ** np.arange(7)
@@ -23,14 +26,24 @@ def log_bayes_factor(score: Score, scatter: float, gain: float | None = None) ->
     """
     gain = (score.gain if gain is None else gain) / scatter
     if score.entry.hypothesis.named:
-        # Sizes are spread as Cauchy's distribution about nought, as wide as the typical size: a factor more is as likely as
-        # the same factor less, and of two that explain as much the one nearer its typical size is likelier. By Laplace's
-        # approximation, without what all names share.
-        known = np.linalg.slogdet(score.information / scatter + np.eye(len(score.information)))[1]
-        beyond = 0.5 * (1 + len(score.coefficient)) * np.log1p(score.coefficient @ score.coefficient)
-        return float(0.5 * gain - 0.5 * known - beyond)
+        return 0.5 * gain + log_occam(score.coefficient, score.information / scatter)
     g = SPREAD
     return float(logsumexp(-score.width / 2 * np.log1p(g) + 0.5 * gain * g / (1 + g)) - np.log(len(g)))
+
+
+def log_occam(size: Array, information: Array) -> float:
+    """What a hypothesis loses by having had to say its size, in a logarithm, without what all names share.
+
+    Sizes are spread as Cauchy's distribution about nought, as wide as the typical size: a factor more is as likely as the
+    same factor less, and of two that explain as much the one nearer its typical size is likelier. By Laplace's
+    approximation.
+
+    Args:
+        size: (k,) in typical sizes.
+        information: (m, m) inverse of the covariance of all that is fitted along with it, in typical sizes and deviations.
+    """
+    known = np.linalg.slogdet(information + np.eye(len(information)))[1]
+    return float(-0.5 * known - 0.5 * (1 + len(size)) * np.log1p(size @ size))
 
 
 def likeliest(challengers: Sequence[Challenger]) -> Challenger:

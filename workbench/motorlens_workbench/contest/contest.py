@@ -62,6 +62,7 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
         return Outcome(first, first, (), (), None, (), {})
     accepted: list[Accepted] = []
     refused: list[str] = []
+    estimated: list[str] = []
     pointed: dict[str, None] = {}
     judged: dict[str, float] = {}
     nameless: tuple[Standing, list[Accepted]] | None = None
@@ -76,18 +77,19 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
         if nameless is None and any(not one.named for one in challengers):
             nameless = here, list(accepted)
         if challengers or able:
-            step = enter(here, challengers, able, refused, own, say)
+            step = enter(here, challengers, able, refused, estimated, own, say)
         else:
             assert here.rest is not None
-            step = enter_anew(here, here.rest.entry.hypothesis.equation, refused, own, say)
+            step = enter_anew(here, here.rest.entry.hypothesis.equation, estimated, own, say)
         refused += step.refused
+        estimated += step.estimated
         judged |= {name: max(times, judged.get(name, 0.0)) for name, times in step.judged.items()}
         if step.standing is not None:
-            here, refused, entered = step.standing, [], entered + 1
+            here, refused, estimated, entered = step.standing, [], [], entered + 1
             if step.accepted is not None:
                 accepted.append(step.accepted)
                 here, accepted = _needed(here, accepted, own, say)
-        elif not step.refused:
+        elif not (step.refused or step.estimated):
             break
     remains = any(not one.named for one in beyond_chance(here, accepted, refused))
     if remains and nameless is not None and _imitate(nameless[0], here):

@@ -8,23 +8,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.weighed import gained
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.bayes_factor import likeliest, posterior, scatter_of
+from motorlens_workbench.contest.bayes_factor import likeliest, log_occam, posterior, scatter_of
 from motorlens_workbench.contest.needed import follows
 from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import Score, log_chance
+from motorlens_workbench.evidence.ledger import Score, inverse, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
-from motorlens_workbench.refit import anew, begun, settled, with_hypothesis
+from motorlens_workbench.refit import anew, begun, nearly, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
 # Hypotheses that are fitted in full at each step.
 REFITTED = 4
+# Names with which the motor is estimated to the end, of all with which it was estimated from pieces of long recordings.
+ESTIMATED = 6
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Step:
         standing: with the name that enters, or a likelier fit of the same model; None if there is neither.
         accepted: that name.
         refused: names that do not hold once fitted.
+        estimated: names with which the motor was estimated from the beginning.
         judged: how heavy each name fitted in full is, in multiples of the weight that is needed.
         unlikely: of what the model with the name leaves, see `unlikely_from`.
     """
@@ -42,6 +45,7 @@ class Step:
     standing: Standing | None = None
     accepted: Accepted | None = None
     refused: tuple[str, ...] = ()
+    estimated: tuple[str, ...] = ()
     judged: Mapping[str, float] = field(default_factory=dict)
     unlikely: float = float("inf")
 
@@ -49,7 +53,12 @@ class Step:
         """What has been found after another attempt: the likelier of both."""
         judged = {**self.judged, **{n: max(t, self.judged.get(n, 0.0)) for n, t in other.judged.items()}}
         best = other if other.unlikely < self.unlikely else self
-        return replace(best, refused=(*self.refused, *other.refused), judged=judged)
+        return replace(
+            best,
+            refused=(*self.refused, *other.refused),
+            estimated=(*self.estimated, *other.estimated),
+            judged=judged,
+        )
 
 
 def enter(
@@ -57,6 +66,7 @@ def enter(
     challengers: Sequence[Challenger],
     promised: Sequence[Challenger],
     refused: Sequence[str],
+    estimated: Sequence[str],
     own: Sequence[type[Effect]],
     say: Progress,
 ) -> Step:
@@ -97,7 +107,7 @@ def enter(
     if not (strongest.named if step.standing is None else follows(step.standing)):
         # What is missing has bent the model, and where that ended another name, or none, may help most.
         best = strongest.score.entry.hypothesis if step.accepted is None else step.accepted.hypothesis
-        step = step.then(enter_anew(here, best.equation, refused, own, say))
+        step = step.then(enter_anew(here, best.equation, estimated, own, say))
     if step.standing is None and strongest.named:
         return replace(step, refused=(*step.refused, strongest.name))
     return step
@@ -106,50 +116,72 @@ def enter(
 def enter_anew(
     here: Standing,
     equation: str,
-    refused: Sequence[str],
+    estimated: Sequence[str],
     own: Sequence[type[Effect]],
     say: Progress,
 ) -> Step:
-    """The likeliest of all names about an equation, with each of which the motor is estimated from the beginning."""
+    """The likeliest of all names about an equation, with each of which the motor is estimated from the beginning.
+
+    First as far as pieces of long recordings tell, and to the end with those that explain most there; not with those with
+    which it has been `estimated` before.
+    """
     equations = _about(equation)
     named: dict[str, Score] = {}
     for score in sorted(here.scores, key=lambda score: score.gain):
         hypothesis = score.entry.hypothesis
-        if hypothesis.named and hypothesis.equation in equations and score.name not in refused:
+        if hypothesis.named and hypothesis.equation in equations and score.name not in estimated:
             named[score.name] = score
 
-    def estimated(one: Score) -> Fitted | None:
-        say(f"estimating anew with {one.name.replace('_', ' ')}")
-        return anew(begun(here.fitted, one))
+    def about(one: Score) -> Fitted:
+        return begun(here.fitted, one)
 
-    fits = zip(named.values(), on_all_cores(estimated, list(named.values())), strict=True)
+    if not named:
+        return Step()
+    say(f"estimating anew with each of {', '.join(name.replace('_', ' ') for name in named)}")
+    nothing = Step(estimated=tuple(named))
+    base = nearly(here.fitted)
+    if base is None:
+        return nothing
+    reached = on_all_cores(lambda one: nearly(about(one)), list(named.values()))
+    won = {
+        name: gained(base, point, here.fitted.prior)
+        for name, point in zip(named, reached, strict=True)
+        if point is not None
+    }
+    able = sorted((name for name in won if won[name] > 0), key=lambda name: -won[name])
+    nearest = [named[name] for name in able[:ESTIMATED]]
+    say(f"and to the end with {', '.join(one.name.replace('_', ' ') for one in nearest) or 'none'}")
+    fits = zip(nearest, on_all_cores(lambda one: anew(about(one)), nearest), strict=True)
     made = [
         (one, fitted) for one, fitted in fits if fitted is not None and np.isfinite(_unlikely(here, fitted))
     ]
-    made.sort(key=lambda pair: _unlikely(here, pair[1]))
-    step = Step()
-    for one, fitted in made:
+    if not made:
+        return nothing
+    best = min((fitted for _, fitted in made), key=lambda fitted: _unlikely(here, fitted))
+    less = {one.name: consistent(likelier_by_block(here, best, fitted), np.inf) for one, fitted in made}
+    likely = {
+        one.name: _occam(one, fitted) - 0.5 * less[one.name] / CRITERIA.tempered for one, fitted in made
+    }
+    step = nothing
+    for one, fitted in sorted(made, key=lambda pair: -likely[pair[0].name]):
         step = step.then(_judged(here, one, (fitted,), own))
         if step.accepted is not None:
-            break
-    if step.accepted is None or step.standing is None:
-        return step
-    likeliest_end = step.standing.fitted
-    less = {
-        one.name: consistent(likelier_by_block(here, likeliest_end, fitted), np.inf) for one, fitted in made
-    }
-    # Of those that blocks of time do not tell from the likeliest, the one with the fewest parameters.
-    alike = [pair for pair in made if less[pair[0].name] < chdtri(1, 1 - CRITERIA.credible)]
-    for one, fitted in sorted(alike, key=lambda pair: _parameters(pair[1], pair[0].name)):
-        if _parameters(fitted, one.name) < _parameters(likeliest_end, step.accepted.hypothesis.name):
-            simpler = _judged(here, one, (fitted,), own)
-            if simpler.accepted is not None:
-                step = replace(simpler, judged={**step.judged, **simpler.judged})
-                break
-    assert step.accepted is not None
-    least = less.get(step.accepted.hypothesis.name, 0.0)
-    beside = {name: 0.5 * (least - more) for name, more in less.items()}
-    return replace(step, accepted=replace(step.accepted, beside=beside))
+            beside = {name: 0.5 * (less[one.name] - more) for name, more in less.items()}
+            return replace(step, accepted=replace(step.accepted, beside=beside))
+    return step
+
+
+def _occam(one: Score, fitted: Fitted) -> float:
+    """See `log_occam`, of a name in a model that has it."""
+    hypothesis, values, prior = one.entry.hypothesis, fitted.model.values(), fitted.prior
+    keys = [key for key in prior.keys if key.startswith(f"{one.name}.")]
+    at = [prior.keys.index(key) for key in keys]
+    unit = np.array([abs(hypothesis.typical) if key == hypothesis.key else prior.sd[key] for key in keys])
+    null = fitted.model.file.meaning(hypothesis.key).null or 0.0
+    size = (values[hypothesis.key] - null) / hypothesis.typical
+    pulls = [(values[key] - prior.centre[key]) / prior.sd[key] for key in keys if key != hypothesis.key]
+    information = inverse(fitted.covariance[np.ix_(at, at)] / np.outer(unit, unit)) / CRITERIA.tempered
+    return log_occam(np.array([size]), information) - 0.5 * float(np.sum(np.square(pulls)))
 
 
 def _unlikely(here: Standing, fitted: Fitted) -> float:
@@ -158,11 +190,6 @@ def _unlikely(here: Standing, fitted: Fitted) -> float:
         return unlikely_from(here, fitted)
     except ModelError:
         return float("inf")
-
-
-def _parameters(fitted: Fitted, name: str) -> int:
-    """How many parameters a hypothesis has that are fitted."""
-    return sum(key.startswith(f"{name}.") for key in fitted.prior.keys)
 
 
 def _judged(here: Standing, one: Score, starts: Sequence[Fitted], own: Sequence[type[Effect]]) -> Step:

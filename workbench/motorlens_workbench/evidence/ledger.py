@@ -22,6 +22,7 @@ from scipy.special import chdtrc, chdtri, gammaln
 from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.weighed import BLOCKS
 from motorlens_physics.estimate.whitening import white as white_noise
 from motorlens_physics.threads import on_all_cores
 from motorlens_workbench.criteria import CRITERIA
@@ -162,6 +163,11 @@ class Ledger:
     entries: tuple[Entry, ...]
     blocks: tuple[tuple[int, slice], ...]
     colour: float = 0.0
+
+    @property
+    def samples(self) -> int:
+        """How many there are in all runs."""
+        return sum(rows.stop - rows.start for _, rows in self.blocks)
 
     @property
     def belief(self) -> Array:
@@ -317,7 +323,7 @@ def layout(lines: Sequence[Line]) -> tuple[tuple[int, slice], ...]:
     blocks: list[tuple[int, slice]] = []
     for r, line in enumerate(lines):
         rows = len(line.error)
-        wanted = min(max(round(CRITERIA.blocks * rows / samples), CRITERIA.blocks // 3), rows // 8)
+        wanted = min(max(round(BLOCKS * rows / samples), BLOCKS // 3), rows // 8)
         edges = np.linspace(0, rows, max(wanted, 1) + 1).astype(int)
         blocks += [(r, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)]
     return tuple(blocks)
