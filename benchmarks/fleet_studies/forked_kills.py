@@ -18,7 +18,7 @@ from typing import Any
 
 from fleet_studies.kills import content
 
-from motorlens_physics.queue import SETTINGS, cluster, here, worked
+from motorlens_physics.queue import cluster, here, settings, worked
 from motorlens_workbench.fleet.manifest import Entry
 from motorlens_workbench.fleet.store import Store, digest
 from motorlens_workbench.fleet.study import results
@@ -131,7 +131,7 @@ async def _scheduler(where: Path) -> None:
     import dask
     from distributed import Scheduler
 
-    with dask.config.set(SETTINGS):
+    with dask.config.set(settings()):
         async with Scheduler(port=0, dashboard=False) as scheduler:
             half = where.with_suffix(".half")
             half.write_text(scheduler.address)
@@ -143,6 +143,6 @@ async def _worker(address: str) -> None:
     import dask
     from distributed import Worker
 
-    with dask.config.set(SETTINGS):
+    with dask.config.set(settings()):
         async with Worker(address, nthreads=1) as worker:
             await worker.finished()

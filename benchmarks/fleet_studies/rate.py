@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 from helpers.fleet_tasks import sleeps
 
-from motorlens_physics.queue import SETTINGS, cluster, worked
+from motorlens_physics.queue import cluster, settings, worked
 
 ROOT = Path(__file__).resolve().parents[2]
 # Seconds of a diagnosis, and how far their logarithm scatters, as in `null.py`: what the sizes of its recordings tell of it
@@ -55,7 +55,7 @@ def simulated(tasks: int, seed: int) -> None:
     # As `study.results` does: the longest first, as far as that is known.
     seconds = seconds[np.argsort(-foreseen)]
     with (
-        dask.config.set(SETTINGS),
+        dask.config.set(settings()),
         LocalCluster(
             n_workers=SIMULATED, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50,
             memory_limit=None,

@@ -32,20 +32,6 @@ _ONE_THREAD = {
     name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 }
 
-# How Dask is set.
-SETTINGS: Mapping[str, Any] = {
-    "distributed.scheduler.allowed-failures": DEATHS,
-    "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
-    "distributed.worker.daemon": True,
-    # A hundred looks a second at what a worker does fill its memory, and nobody reads them.
-    "distributed.worker.profile.enabled": False,
-    # One task at a time a worker: when it dies, no other that waits there is blamed.
-    "distributed.scheduler.worker-saturation": 1.0,
-    # Said in our own words.
-    "distributed.admin.log-format": "%(message)s",
-    "distributed.logging": {"distributed": "critical", "distributed.scheduler": "critical"},
-}
-
 
 @dataclass(frozen=True)
 class Done(Generic[U]):
@@ -103,6 +89,22 @@ def add_queue_arguments(parser: "argparse.ArgumentParser", workers: str = "one a
     )  # fmt: skip
 
 
+def settings() -> Mapping[str, Any]:
+    """How Dask is set."""
+    return {
+        "distributed.scheduler.allowed-failures": DEATHS,
+        "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
+        "distributed.worker.daemon": True,
+        # A hundred looks a second at what a worker does fill its memory, and nobody reads them.
+        "distributed.worker.profile.enabled": False,
+        # One task at a time a worker: when it dies, no other that waits there is blamed.
+        "distributed.scheduler.worker-saturation": 1.0,
+        # Said in our own words.
+        "distributed.admin.log-format": "%(message)s",
+        "distributed.logging": {"distributed": "critical", "distributed.scheduler": "critical"},
+    }
+
+
 @contextmanager
 def cluster(
     scheduler: str | None = None, workers: int | None = None, memory: str = "auto"
@@ -121,7 +123,7 @@ def cluster(
     import dask
     from distributed import Client, LocalCluster
 
-    with dask.config.set(SETTINGS):
+    with dask.config.set(settings()):
         if scheduler is not None:
             try:
                 client = Client(scheduler, timeout="5s")
