@@ -1,4 +1,4 @@
-"""How large the largest hypothesis gets where nothing is missing: what `criteria.py` takes its first four numbers from.
+"""How large the largest hypothesis gets where nothing is missing: what `criteria.py` takes its first three numbers from.
 
     python benchmarks/null.py --count 200 --seed 1 -o null.jsonl
 

@@ -11,18 +11,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.hidden import draw, generate
 
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
 from motorlens_physics.ops import exp, tanh, turning
 from motorlens_physics.parameter import param
-from motorlens_physics.recording import Recording, write_recording
+from motorlens_physics.recording import Recording, read_recording, write_recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_runtime.cli import main
 from motorlens_workbench.diagnose import Finding, diagnose
 from motorlens_workbench.report.json import to_json, to_text
-from motorlens_workbench.verdict import settle
+from motorlens_workbench.verdict import measured, settle
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}
@@ -91,6 +92,17 @@ def test_nothing_missing_is_said_with_what_would_have_been_seen(rough):
     assert 0 < smallest["coulomb_friction"] < 0.15
     assert 0 < smallest["brush_voltage_drop"] < 2.0
     assert "Nothing is missing above" in to_text(document)
+
+
+@pytest.mark.fit
+def test_an_effect_of_which_only_a_product_is_told_is_named(tmp_path):
+    """Of another plant: how wide the gap of a coasting bridge is, or how high its supply, its voltage alone does not say."""
+    made = generate(draw("dev", 800, True)[420], tmp_path)
+    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    (one,) = found.outcome.accepted
+    size, sd = measured(found, one)
+    assert abs(size) < 1.96 * sd
+    assert settle(found).chosen == tuple(effect["name"] for effect in made.truth["hidden"])
 
 
 @pytest.mark.fit

@@ -111,10 +111,14 @@ def seen_named(here: Standing) -> dict[str, Score]:
 
 
 def _holds(found: Finding, one: Accepted) -> bool:
-    """Whether the interval of its size is away from null."""
-    value, sd = measured(found, one)
-    null = found.outcome.last.fitted.model.file.meaning(one.hypothesis.key).null or 0.0
-    return abs(value - null) > INTERVAL * sd
+    """Whether the interval of its size is away from null; its other parameters, which mean nothing there, are not varied.
+
+    Of an effect that is told only as a product of two parameters, neither has a deviation that says so.
+    """
+    last = found.outcome.last
+    seen = own_score(last.plain or last.book, last.fitted, one.hypothesis)
+    told = seen.gain / (seen.scatter + one.doubt) if seen else 0.0
+    return max(told, one.agreed) > INTERVAL**2
 
 
 def detectable(found: Finding, score: Score) -> float:

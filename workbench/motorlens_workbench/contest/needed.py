@@ -23,11 +23,9 @@ def needed_weight(
     assert here.null is not None
     colour = here.book.colour if colour is None else colour
     if named:
-        white = colour <= CRITERIA.white * here.book.samples
-        excess = CRITERIA.excess if white else 2 * CRITERIA.excess
-        return max(here.null.weight(excess), 0.5 * CRITERIA.colour * colour, 0.0)
+        return max(here.null.weight(CRITERIA.excess), 0.5 * CRITERIA.colour * colour, 0.0)
     shares = (0.5 * CRITERIA.instead * one.gain for one in accepted)
-    return max(here.null.weight(4 * CRITERIA.excess), 0.5 * CRITERIA.unnamed_colour * colour, *shares, 0.0)
+    return max(here.null.weight(2 * CRITERIA.excess), 0.5 * CRITERIA.unnamed_colour * colour, *shares, 0.0)
 
 
 def beyond_chance(here: Standing, accepted: Sequence[Accepted], refused: Sequence[str]) -> list[Challenger]:

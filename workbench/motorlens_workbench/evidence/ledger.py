@@ -165,11 +165,6 @@ class Ledger:
     colour: float = 0.0
 
     @property
-    def samples(self) -> int:
-        """How many there are in all runs."""
-        return sum(rows.stop - rows.start for _, rows in self.blocks)
-
-    @property
     def belief(self) -> Array:
         """(p,) weight of each prior, that of Student's t at where the parameter is: a file may simply be wrong."""
         return np.minimum((FREEDOM + 1) / (FREEDOM + self.pull**2), 1.0)
