@@ -102,7 +102,9 @@ def test_an_effect_of_which_only_a_product_is_told_is_named(tmp_path):
     (one,) = found.outcome.accepted
     size, sd = measured(found, one)
     assert abs(size) < 1.96 * sd
-    assert settle(found).chosen == tuple(effect["name"] for effect in made.truth["hidden"])
+    verdict = settle(found)
+    assert verdict.chosen == tuple(effect["name"] for effect in made.truth["hidden"])
+    assert any("told only together" in sentence and "V_bus" in sentence for sentence in verdict.untold)
 
 
 @pytest.mark.fit

@@ -1,6 +1,6 @@
 """From the outcome of a contest to a verdict: what is missing, how sure that is, and what the recordings cannot tell."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import times_noise
-from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing
 
@@ -68,7 +68,15 @@ def settle(found: Finding) -> Verdict:
     times = times_noise(last.book, last.lines)
     kind, equation = _kind(found, held, groups, times)
     shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
-    return Verdict(kind, chosen, tuple(groups), equation, probability, shape, tuple(limits(found, times)))
+    return Verdict(
+        kind,
+        chosen,
+        tuple(groups),
+        equation,
+        probability,
+        shape,
+        tuple(limits(found, [one for one, _ in held], times)),
+    )
 
 
 def _kind(found: Finding, held: list, groups: list, times: float) -> tuple[str, str | None]:  # type: ignore[type-arg]
@@ -127,8 +135,27 @@ def detectable(found: Finding, score: Score) -> float:
     return score.detectable(needed_weight(last, found.outcome.accepted)) if last.null else float("inf")
 
 
-def limits(found: Finding, times: float) -> list[str]:
-    """What the recordings cannot tell, in words; `times` the noise is what the last model leaves."""
+def _told_alone(found: Finding, one: Accepted) -> bool:
+    """Whether the deviation of its size, its other parameters varied with it, says as much as that it is there."""
+    value, sd = measured(found, one)
+    null = found.outcome.last.fitted.model.file.meaning(one.hypothesis.key).null or 0.0
+    return abs(value - null) > INTERVAL * sd
+
+
+def _only_together(found: Finding, one: Accepted) -> str:
+    name, keys = one.hypothesis.name, found.outcome.last.fitted.prior.keys
+    own = ", ".join(key.rpartition(".")[2] for key in keys if key.startswith(f"{name}."))
+    return f"{name} is there beyond chance, but its parameters ({own}) are told only together: each may be near nothing."
+
+
+def limits(found: Finding, held: Sequence[Accepted], times: float) -> list[str]:
+    """What the recordings cannot tell, in words.
+
+    Args:
+        found: by the contest.
+        held: names that stand.
+        times: how many times the noise the last model leaves.
+    """
     said = [one.sentence for one in found.dead]
     said += [run.saturation for run in found.runs if run.saturated]
     said += [delay.sentence for delay in delays_of(_as_fit(found), found.runs)]
@@ -162,6 +189,7 @@ def limits(found: Finding, times: float) -> list[str]:
             f"The model is {times:.3g} times the noise off on what it was not fitted to: noise that lasts, a torque that "
             "nobody measured, or something that no hypothesis explains."
         )
+    said += [_only_together(found, one) for one in held if not _told_alone(found, one)]
     said += [
         f"The screen points at {name}, but the model fitted with it does not follow: it stands for something else."
         for name in found.outcome.refused
