@@ -72,7 +72,7 @@ def test_pieces_lead_where_all_samples_lead(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_trial_is_weighed_as_the_point_it_is_compared_with() -> None:
     runs = two_runs()[1:]
     prior, model = base_prior(FILE, runs), start_model(FILE, runs)
-    tempered = dataclasses.replace(first_point(model, runs, prior.keys), inflation=3.0)
+    tempered = dataclasses.replace(at(model, first_point(model, runs), prior), inflation=3.0)
     assert at(model, tempered, prior).cost == pytest.approx(tempered.cost, rel=1e-9)
 
 

@@ -304,11 +304,11 @@ def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
     return out
 
 
-def first_point(model: Model, runs: Sequence[Run], keys: Sequence[str] = ()) -> Weighed:
-    """The point at a model with all samples, and noise as large as the errors there; its normal equations are of `keys`."""
+def first_point(model: Model, runs: Sequence[Run]) -> Weighed:
+    """The point at a model with all samples, and noise as large as the errors there; it has no normal equations."""
     torque = model.file.rated.torque_Nm
     unknown = [first_noise(run, np.ones_like(run.measured), torque) for run in runs]
-    point = weighed(model, runs, unknown, [run.there for run in runs], keys)
+    point = weighed(model, runs, unknown, [run.there for run in runs], ())
     parts = [replace(part, noise=first_noise(part.run, part.error, torque)) for part in point.parts]
     return replace(point, parts=tuple(parts))
 
