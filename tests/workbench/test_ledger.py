@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motorlens_workbench.evidence.ledger import Entry, Ledger, Score
+from motorlens_workbench.evidence.ledger import Ledger
 from motorlens_workbench.evidence.null import null_of
+from motorlens_workbench.evidence.score import Entry, Score
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
 BLOCKS, ROWS = 64, 6400

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.estimate.converter import quantisation_step
-from motorlens_physics.estimate.whitening import Whitener, fit_whitener, white
+from motorlens_workbench.evidence.whitening import Whitener, fit_whitener, white
 
 
 def coloured(rows: int, seed: int) -> np.ndarray:

@@ -26,7 +26,8 @@ from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import pooled_floor
-from motorlens_workbench.evidence.ledger import common, inverse
+from motorlens_workbench.evidence.ledger import common
+from motorlens_workbench.evidence.score import inverse
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.hypotheses.effects import effects
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis

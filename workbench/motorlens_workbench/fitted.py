@@ -10,7 +10,7 @@ from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
-from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]

@@ -14,7 +14,8 @@ from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed, minimised, weighed
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.evidence.ledger import Beside, Score
+from motorlens_workbench.evidence.ledger import Beside
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Fitted
 from motorlens_workbench.hypotheses.effects import EffectShape, phase_of
 from motorlens_workbench.hypotheses.sensors import SensorShape

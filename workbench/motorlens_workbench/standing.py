@@ -13,9 +13,10 @@ from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
 from motorlens_physics.estimate.weighed import BRIEFLY, moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.evidence.ledger import Beside, Ledger, Score, ledger
+from motorlens_workbench.evidence.ledger import Beside, Ledger, ledger
 from motorlens_workbench.evidence.look import Look, look
 from motorlens_workbench.evidence.null import Null, null_of
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Challenger, Fitted
 from motorlens_workbench.hypotheses.courses import parameters_of
 from motorlens_workbench.hypotheses.everything import everything

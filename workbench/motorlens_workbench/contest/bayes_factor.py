@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Challenger
 
 Array = NDArray[np.float64]

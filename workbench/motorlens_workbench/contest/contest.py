@@ -17,7 +17,7 @@ from motorlens_workbench.contest.entering import enter, enter_anew
 from motorlens_workbench.contest.needed import beyond_chance, follows, needed_weight, promising
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import consistent, held_score
-from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.refit import settled, without_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, unlikely_from

@@ -17,7 +17,7 @@ from motorlens_workbench.contest.bayes_factor import likeliest, log_occam, poste
 from motorlens_workbench.contest.needed import follows
 from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import Score, inverse, log_chance
+from motorlens_workbench.evidence.score import Score, inverse, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.refit import anew, begun, nearly, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from

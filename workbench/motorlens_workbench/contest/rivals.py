@@ -9,8 +9,8 @@ from scipy.special import logsumexp
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import Score
 from motorlens_workbench.evidence.look import best_of
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_workbench.contest.needed import needed_weight
-from motorlens_workbench.evidence.ledger import Ledger, Score, log_chance
+from motorlens_workbench.evidence.ledger import Ledger
+from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, without_hypothesis

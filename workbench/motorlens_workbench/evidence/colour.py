@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.whitening import Whitener, fit_whitener
+from motorlens_workbench.evidence.whitening import Whitener, fit_whitener
 
 Array = NDArray[np.float64]
 

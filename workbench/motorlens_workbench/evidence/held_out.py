@@ -10,7 +10,8 @@ from motorlens_physics.estimate.free_run import floor_of
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensitivity import INITIAL
-from motorlens_workbench.evidence.ledger import Ledger, inverse
+from motorlens_workbench.evidence.ledger import Ledger
+from motorlens_workbench.evidence.score import inverse
 from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]

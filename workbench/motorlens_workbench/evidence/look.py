@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import Beside, Entry, Ledger, Score, ledger, with_entries
+from motorlens_workbench.evidence.ledger import Beside, Ledger, ledger, with_entries
+from motorlens_workbench.evidence.score import Entry, Score
 from motorlens_workbench.hypotheses.changes import changes
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.evidence.score import Score
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import Forcing
-from motorlens_workbench.evidence.ledger import Entry, Ledger
+from motorlens_workbench.evidence.ledger import Ledger
+from motorlens_workbench.evidence.score import Entry
 from motorlens_workbench.hypotheses.courses import of_parameter
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line

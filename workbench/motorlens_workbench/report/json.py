@@ -11,7 +11,7 @@ from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import held_out, pooled_floor
-from motorlens_workbench.evidence.ledger import Score
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.experiments import Experiment
 from motorlens_workbench.hypotheses.changes import Change
 from motorlens_workbench.hypotheses.contact import Contact

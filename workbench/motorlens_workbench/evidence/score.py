@@ -1,0 +1,148 @@
+"""A shape of a hypothesis against what a model leaves: its best size, and how probable as much is by chance.
+
+Lagrange-multiplier (score) test: Breusch and Pagan (1980), doi:10.2307/2297111. Scatter between blocks: Liang and Zeger
+(1986), doi:10.1093/biomet/73.1.13.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, chdtri, gammaln
+
+from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis, Shape
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Sums over blocks of one shape of a hypothesis.
+
+    Attributes:
+        hypothesis: whose.
+        shape: which.
+        cross: (B, p + 1, k) products with the columns of the fitted parameters and, last, with the errors.
+        inner: (B, k, k) products within the shape.
+    """
+
+    hypothesis: Hypothesis
+    shape: Shape
+    cross: Array
+    inner: Array
+
+
+@dataclass(frozen=True)
+class Score:
+    """A shape against what a model leaves.
+
+    Attributes:
+        entry: the shape.
+        coefficient: (k,) its best size, in units of its columns.
+        covariance: (k, k) of that, scatter between blocks included.
+        information: (k, k) what white noise would make the inverse of that.
+        gain: twice the fall of the negative log likelihood.
+        scatter: between blocks, over what white noise would give, at least 1.
+        weight: minus the logarithm of the probability of as much by chance.
+        width: how many columns the recordings know.
+        rests: (B, k) score of each block beside the best size, corrected for leverage.
+        inverse: (k, k) of the information.
+        doubt: what `doubted` has added to the scatter.
+    """
+
+    entry: Entry
+    coefficient: Array
+    covariance: Array
+    information: Array
+    gain: float
+    scatter: float
+    weight: float
+    width: int
+    rests: Array
+    inverse: Array
+    doubt: float = 0.0
+
+    def doubted(self, doubt: float) -> "Score":
+        """With more scatter: what makes the score besides noise and what is missing."""
+        scatter = self.scatter + doubt
+        return replace(
+            self,
+            scatter=scatter,
+            covariance=self.covariance * (scatter / self.scatter),
+            weight=-log_chance(self.gain / scatter, self.width),
+            doubt=self.doubt + doubt,
+        )
+
+    def winning(self, gain: float) -> "Score":
+        """With no more gain than this."""
+        gain = float(np.clip(gain, 0.0, self.gain))
+        return replace(self, gain=gain, weight=-log_chance(gain / self.scatter, self.width))
+
+    def or_at_least(self, statistic: float) -> "Score":
+        """With at least this gain over its scatter."""
+        if statistic <= self.gain / self.scatter:
+            return self
+        return replace(self, gain=statistic * self.scatter, weight=-log_chance(statistic, self.width))
+
+    @property
+    def name(self) -> str:
+        """Of the hypothesis."""
+        return self.entry.hypothesis.name
+
+    @property
+    def undivided(self) -> float:
+        """The weight if it scattered as white noise does."""
+        return -log_chance(self.gain, self.width)
+
+    @property
+    def possible(self) -> bool:
+        """Whether the size is within its limits, but for two standard deviations, and no wonder of nature.
+
+        A size far beyond what such an effect can have is the mark of a column that hardly differs from what parameters do.
+        """
+        if self.entry.hypothesis.named and np.hypot(*self.coefficient[[0, -1]]) > 3 * CRITERIA.largest:
+            return False
+        if len(self.coefficient) != 1:
+            return True
+        low, high = self.entry.shape.limits()
+        slack = 2 * float(np.sqrt(self.covariance[0, 0]))
+        return bool(low - slack <= self.coefficient[0] <= high + slack)
+
+    def detectable(self, weight: float) -> float:
+        """The size of a single column at which `weight` would be expected, in units of the column."""
+        gain = float(chdtri(1, np.exp(-min(weight, 700.0))))
+        return float(np.sqrt(gain * self.scatter / max(self.information[0, 0], 1e-300)))
+
+
+def scatter_of(rests: Array, inverse_: Array, width: int) -> float:
+    """How much more scores (B, k) of blocks scatter than white noise, at least 1; slow noise shows between longer blocks."""
+    worst = 1.0
+    for merged in (1, 2, 4):
+        joined = np.add.reduceat(rests, np.arange(0, len(rests), merged), axis=0)
+        worst = max(worst, float(np.sum(inverse_ * (joined.T @ joined))) / width)
+    return worst
+
+
+def log_chance(statistic: float, width: int) -> float:
+    """Logarithm of the probability that a chi-squared variable is larger; its asymptote where that is nought.
+
+    >>> round(log_chance(3.84, 1), 1), round(log_chance(4000.0, 2))
+    (-3.0, -2000)
+    """
+    told = float(chdtrc(width, statistic))
+    if told > 1e-300:
+        return float(np.log(told))
+    half = statistic / 2
+    return float(-half + (width / 2 - 1) * np.log(half) - gammaln(width / 2))
+
+
+def inverse(gram: Array) -> Array:
+    """Of a symmetric matrix; directions of which rounding alone is left count as unknown."""
+    if not len(gram):
+        return gram
+    power = np.diagonal(gram)
+    scale = np.sqrt(np.where(power > 0, power, 1.0))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    keep = values > 1e-11 * values[-1]
+    return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(scale, scale))
