@@ -14,6 +14,7 @@ import numpy as np
 from motorlens_physics.large_arrays import give_back
 from motorlens_physics.reading import Array, Table
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.arrow_memory import arrow_buffer, blocks_of_lines
 from motorlens_runtime.files.layout import HEAD_BYTES, MISSING, Layout, is_comment, layout_of, number, split
 from motorlens_runtime.files.moments import Moments
 from motorlens_runtime.files.words import WORDS
@@ -129,23 +130,25 @@ def _by_arrow(
     parts: dict[int, list[Array]] = {k: [] for k in used}
     give_back()
     try:
-        with (
-            body.opened() as file,
-            csv.open_csv(
-                file,
-                read_options=csv.ReadOptions(column_names=list(names.values()), block_size=1 << 24),
-                parse_options=csv.ParseOptions(delimiter=layout.separator, invalid_row_handler=skip),
-                convert_options=csv.ConvertOptions(
-                    include_columns=[names[k] for k in used],
-                    column_types={names[k]: pa.float64() for k in used},
-                    null_values=sorted(words),
-                    decimal_point=layout.decimal,
-                ),
-            ) as batches,
-        ):
-            for batch in batches:
+        with body.opened() as file:
+            for block in blocks_of_lines(file):
+                if block.isspace():
+                    continue
+                batch = csv.read_csv(
+                    pa.BufferReader(arrow_buffer(block)),
+                    read_options=csv.ReadOptions(
+                        column_names=list(names.values()), use_threads=False, block_size=len(block) + 1
+                    ),
+                    parse_options=csv.ParseOptions(delimiter=layout.separator, invalid_row_handler=skip),
+                    convert_options=csv.ConvertOptions(
+                        include_columns=[names[k] for k in used],
+                        column_types={names[k]: pa.float64() for k in used},
+                        null_values=sorted(words),
+                        decimal_point=layout.decimal,
+                    ),
+                )
                 for k in used:
-                    parts[k].append(_numbers(batch.column(names[k])))
+                    parts[k] += [_numbers(chunk) for chunk in batch.column(names[k]).chunks]
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
         return None
     last = body.end().rstrip().rpartition(b"\n")[2].decode(errors="replace").strip()

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.files.arrow_memory import arrow_buffer
 from motorlens_runtime.files.decimal_text import read
 from motorlens_runtime.files.layout import HEAD_BYTES, is_comment, layout_of, number
 from motorlens_runtime.files.moments import Moments
@@ -225,7 +226,7 @@ def _by_arrow(text: bytes, columns: int, used: Iterable[int], separator: bytes) 
     names = [str(column) for column in used]
     try:
         found = arrow_csv.read_csv(
-            pa.BufferReader(text),
+            pa.BufferReader(arrow_buffer(text)),
             read_options=arrow_csv.ReadOptions(
                 use_threads=False, block_size=len(text) + 1, column_names=[str(k) for k in range(columns)]
             ),
