@@ -95,6 +95,7 @@ def minimise(
     damping: float = 1e-6,
     nearest: float = 0.0,
     between: Callable[[P], P] = lambda point: point,
+    anew: Callable[[P], P] = lambda point: point,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[P, Array, float]:
     """Levenberg-Marquardt from a point.
@@ -109,6 +110,8 @@ def minimise(
         nearest: share of itself below which nothing that can only be positive may fall in one step: at its bound a linear
             step would leave it without a slope to come back by.
         between: what is done at a point before the step from it, such as finding its noise.
+        anew: the point as `at` sees it after `between`; the same object if that changes nothing. A step that is refused is
+            tried once more from there before it is damped: what `between` found may cost more than the step won.
         progress: told how far there is to go.
 
     Returns:
@@ -124,18 +127,11 @@ def minimise(
     for k in range(rounds):
         point = between(point)
         values = point.model.values()
-        gram, gradient = point.normal()
-        cost = point.cost + prior.penalty(values)
-        if not np.isfinite(gram).all():
-            raise ModelError("the model's response to its parameters has no bound; start from other values")
-        gram = gram + np.diag(1 / scale**2)
-        gradient = gradient + np.array(
-            [(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in keys]
-        )
-        before, left = left, _length(_step(values, prior, gram, gradient, 0.0, nearest), gram)
+        before = left
+        gram, gradient, cost, left = _seen(point, prior, nearest)
         if left < enough or before <= left < CONVERGED:
             break
-        moved = False
+        moved, fresh = False, False
         for _ in range(TRIES):
             step = _step(values, prior, gram, gradient, damping, nearest)
             try:
@@ -150,6 +146,12 @@ def minimise(
             if np.isfinite(reached) and (reached < cost or left < FLAT):
                 moved = True
                 break
+            if not fresh:
+                fresh, stale = True, point
+                point = anew(stale)
+                if point is not stale:
+                    gram, gradient, cost, left = _seen(point, prior, nearest)
+                    continue
             damping = max(damping * 10, 1e-4)
             if _length(step, gram) < enough:
                 break
@@ -158,6 +160,23 @@ def minimise(
         point, damping = trial, max(damping / 10, 1e-9)
         progress(f"step {k + 1}: {left:.3g} standard deviations to go")
     return point, gram, left
+
+
+def _seen(point: Point, prior: Prior, nearest: float) -> tuple[Array, Array, float, float]:
+    """At a point, with what is known beforehand: J^T J (k, k), J^T e (k,), the cost, and how far there is to go.
+
+    Raises:
+        ModelError: a response to a parameter is not finite.
+    """
+    keys, values = prior.keys, point.model.values()
+    width = np.array([prior.sd[key] for key in keys])
+    gram, gradient = point.normal()
+    if not np.isfinite(gram).all():
+        raise ModelError("the model's response to its parameters has no bound; start from other values")
+    gram = gram + np.diag(1 / width**2)
+    gradient = gradient + (_vector(prior.centre, keys) - _vector(values, keys)) / width**2
+    left = _length(_step(values, prior, gram, gradient, 0.0, nearest), gram)
+    return gram, gradient, point.cost + prior.penalty(values), left
 
 
 def _length(step: Array, gram: Array) -> float:

@@ -266,7 +266,8 @@ def minimised(
 
     end, gram, left = minimise(
         point, prior, lambda model: at(model, latest[0], prior), rounds=ROUNDS,
-        enough=ENOUGH if outliers else CLOSE, between=between, progress=progress,
+        enough=ENOUGH if outliers else CLOSE, between=between, anew=lambda here: at(here.model, here, prior),
+        progress=progress,
     )  # fmt: skip
     return end, gram, left
 
