@@ -6,7 +6,7 @@
 The motors differ from the motor file they are calibrated from by up to 30 % in each of ten parameters and come from an
 integrator of its own (`tests/helpers/plain_motor.py`). Each makes one recording of random voltages and loads: 6 s at 1 kHz
 or 20 min at 10 Hz, with inputs that hold between samples or run linearly, in turn. All channels are noisy, voltage and load
-too, by 0, 0.2, 1 or 3 % of their rated values; nothing is told about the noise, the inputs or the start. Of every parameter
+too, by 0, 0.2, 1 or 3 % of their rated values, white unless `--colour` is given; nothing is told about the noise, the inputs or the start. Of every parameter
 that is not said to be unidentified the share within two deviations is 95.4 % for a perfect calibration; Wilson's 95 %
 interval stands beside it.
 """
@@ -48,11 +48,13 @@ WAYS = {"held": True, "linear": False}
 TOUR = Path("models/motors/mellah2016.toml")
 
 
-def one_motor(seed: int, noise: float, rate: str, way: str) -> tuple[Estimate, dict[str, float], float]:
+def one_motor(
+    seed: int, noise: float, rate: str, way: str, colour: float = 0.0
+) -> tuple[Estimate, dict[str, float], float]:
     """The estimate, the true values, and the seconds of processor time."""
     rng = np.random.default_rng([1000 + seed, round(1e4 * noise)])
     truth = scattered(rng)
-    time_s, channels = recorded(truth, Test(*RATES[rate], WAYS[way], noise), rng)
+    time_s, channels = recorded(truth, Test(*RATES[rate], WAYS[way], noise, colour), rng)
     runs = prepare_all([Recording(f"{rate}, {way}", time_s, channels)], FILE)
     begun = time.process_time()
     found = estimate(FILE, runs, base_prior(FILE, runs))
@@ -82,14 +84,14 @@ def table(off: Sequence[dict[str, float]]) -> None:
         )
 
 
-def coverage(noise: float, motors: int, verbose: bool, cells: Sequence[str]) -> None:
+def coverage(noise: float, motors: int, verbose: bool, cells: Sequence[str], colour: float) -> None:
     rows: dict[str, list[dict[str, float]]] = {}
     failed, wrong, spent = 0, 0, 0.0
     for seed in range(motors):
         rate, way = list(RATES)[seed % 2], list(WAYS)[seed // 2 % 2]
         if cells and f"{rate} {way}" not in cells:
             continue
-        found, truth, seconds = one_motor(seed, noise, rate, way)
+        found, truth, seconds = one_motor(seed, noise, rate, way, colour)
         spent += seconds
         failed += not found.converged
         said = findings(found.fit)
@@ -147,13 +149,15 @@ def main() -> None:
     parser.add_argument("--motors", type=int, help="how many motors at each level")
     parser.add_argument("--levels", type=float, nargs="*", default=LEVELS, help="noise levels, as shares")
     parser.add_argument("--cells", nargs="*", default=(), help='only these, such as "1 kHz held"')
+    parser.add_argument(
+        "--colour", type=float, default=0.0, help="correlation of neighbouring samples of the inputs' noise"
+    )
     parser.add_argument("--no-tour", action="store_true", help="leave the tour out")
     parser.add_argument("--verbose", action="store_true", help="a line for every motor")
     arguments = parser.parse_args()
+    motors = arguments.motors or (20 if arguments.quick else 200)
     for level in arguments.levels:
-        coverage(
-            level, arguments.motors or (20 if arguments.quick else 200), arguments.verbose, arguments.cells
-        )
+        coverage(level, motors, arguments.verbose, arguments.cells, arguments.colour)
     if not arguments.no_tour:
         tour(4 if arguments.quick else 20)
 

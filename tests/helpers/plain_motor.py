@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -34,6 +35,7 @@ class Test:
         dwell: samples for which voltage and load stay the same.
         held: whether the inputs truly hold from sample to sample, or run linearly.
         noise: of every channel, inputs too, as a share of its rated value (1 sigma).
+        colour: correlation of neighbouring samples of the inputs' noise; 0 is white.
     """
 
     period_s: float
@@ -41,6 +43,7 @@ class Test:
     dwell: int
     held: bool
     noise: float
+    colour: float = 0.0
 
 
 def scattered(rng: np.random.Generator, share: float = 0.3) -> dict[str, float]:
@@ -59,7 +62,13 @@ def recorded(motor: dict[str, float], test: Test, rng: np.random.Generator) -> t
         "voltage": voltage, "load_torque": load, "current": states[:, 0], "speed": states[:, 1],
         "temperature": AMBIENT_C + states[:, 2],
     }  # fmt: skip
-    return time, {q: y + test.noise * RATED[q] * rng.standard_normal(n) for q, y in truth.items()}
+    noisy = {}
+    for q, y in truth.items():
+        noise = rng.standard_normal(n)
+        if test.colour and q in ("voltage", "load_torque"):
+            noise = lfilter([np.sqrt(1 - test.colour**2)], [1.0, -test.colour], noise)
+        noisy[q] = y + test.noise * RATED[q] * noise
+    return time, noisy
 
 
 def simulated(motor: dict[str, float], voltage: Array, load: Array, test: Test) -> Array:
