@@ -6,9 +6,9 @@
 The motors differ from the motor file they are calibrated from by up to 30 % in each of ten parameters and come from an
 integrator of its own (`tests/helpers/plain_motor.py`). Each makes one recording of random voltages and loads: 6 s at 1 kHz
 or 20 min at 10 Hz, with inputs that hold between samples or run linearly, in turn. All channels are noisy, voltage and load
-too, by 0, 0.2, 1 or 3 % of their rated values, white unless `--colour` is given; nothing is told about the noise, the inputs or the start. Of every parameter
-that is not said to be unidentified the share within two deviations is 95.4 % for a perfect calibration; Wilson's 95 %
-interval stands beside it.
+too, by 0, 0.2, 1 or 3 % of their rated values, white unless `--colour` is given; nothing is told about the noise, the
+inputs or the start. Of every parameter that is not said to be unidentified the share within two deviations is 95.4 % for a
+perfect calibration; Wilson's 95 % interval stands beside it.
 """
 
 import argparse
