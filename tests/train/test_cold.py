@@ -1,11 +1,15 @@
 """A cold start beside any start: the odds are those of two densities, a cold one is known well, a warm one not missed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.duty import MELLAH
 from scipy.stats import norm
 
+from motorlens_physics.motor_file import Knowledge
 from motorlens_train.evaluation.worlds.plant import Constants, run
+from motorlens_train.observer.belief import open_resistance
 from motorlens_train.observer.cold import CERTAIN, COLD, Track, weighed
 from motorlens_train.observer.design import ObserverSettings, observer
 from motorlens_train.observer.layout import Layout
@@ -15,6 +19,7 @@ pytestmark = pytest.mark.fit
 
 SETTINGS = ObserverSettings(voltage_sd=0.48, current_sd=0.0509)
 LAYOUT = Layout(MELLAH, SETTINGS)
+MOTOR = Constants()
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +27,7 @@ def watching():
     return observer(MELLAH, SETTINGS)
 
 
-def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0):
+def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0, off=0.0):
     """Temperature and its deviation, of the filter's `theta` +- `sd` and a winding that began cold and is now at `rise`."""
     r = Recorder()
     theta_now, variance, track = r.inputs(["theta", "variance", "track"])
@@ -33,18 +38,17 @@ def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0):
         variance,
         0.0,
         other_sd**2,
+        off,
     )
-    moves, stated = (float(v) for v in r.program([start.moves, start.variance])(theta, sd**2, 0.01, ran))
+    moves, stated = (float(v) for v in r.program([start.moves, start.thermometer])(theta, sd**2, 0.01, ran))
     return theta + moves, np.sqrt(stated)
 
 
-def followed(watching, warm_K, seconds=60.0, volts=(0.0, 200.0, 90.0, 160.0)):
+def followed(watching, warm_K, seconds=60.0, volts=(0.0, 200.0, 90.0, 160.0), motor=MOTOR):
     """Steps at 500 Hz from a start so warm: what the observer says, and the states."""
     rng, n = np.random.default_rng(4), int(500 * seconds)
     time, voltage = np.arange(n) * 2e-3, np.repeat(volts, n // len(volts))
-    states, _ = run(
-        Constants(), time, voltage, True, np.full(n, 4.0), np.zeros(n), np.array([0.0, 0.0, warm_K])
-    )
+    states, _ = run(motor, time, voltage, True, np.full(n, 4.0), np.zeros(n), np.array([0.0, 0.0, warm_K]))
     seen, _ = watching.run(
         np.full(n, 2e-3), voltage + 0.5 * rng.standard_normal(n), states[:, 0] + 0.05 * rng.standard_normal(n),
         np.full(n, 20.0),
@@ -107,3 +111,33 @@ def test_a_warm_one_is_told(watching, warm_K):
     later = slice(15_000, None)
     assert np.all(np.abs(error[later]) < 1.96 * stated[later])
     assert np.abs(error[later]).max() < 5.0
+
+
+@pytest.mark.parametrize("warm_K", [0.0, 40.0])
+@pytest.mark.parametrize(("share", "deviations"), [(0.92, 1.96), (1.02, 1.96), (1.08, 1.96), (1.15, 3.0)])
+def test_another_resistance_passes_for_a_temperature_and_the_interval_holds_it(
+    watching, share, deviations, warm_K
+):
+    seen, states = followed(watching, warm_K, motor=MOTOR._replace(R=share * MOTOR.R))
+    error = seen["temperature"] - states[:, 2]
+    later = slice(15_000, None)
+    # Off by its share of 1/alpha + theta; what alone is measured, the resistance itself, is right, and said to be.
+    assert np.abs(error[later]).max() > 0.8 * abs(share - 1) * 250.0
+    assert np.all(np.abs(error[later]) < deviations * np.exp(0.5 * seen["log_temperature"][later]))
+    wrong = seen["resistance"] - share * MOTOR.R * (1 + MOTOR.alpha * states[:, 2])
+    stated = np.exp(0.5 * seen["log_resistance"])
+    assert np.all(np.abs(wrong[later]) < 1.96 * stated[later]) and stated[-1] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("sd", "expected"), [(None, 0.1), (0.35, 0.1), (0.0035, 0.0035 * 3**0.5 / 3.5), (0.0, 0.0)]
+)
+def test_a_file_that_knows_its_resistance_leaves_less_of_it_open(sd, expected):
+    known = {**MELLAH.knowledge, "R_a0": Knowledge(sd)}
+    assert open_resistance(Layout(replace(MELLAH, knowledge=known), SETTINGS)) == pytest.approx(expected)
+
+
+def test_who_is_warm_has_a_thermometer_as_good_as_its_resistance_and_who_is_cold_needs_none():
+    temperature, sd = mixed(40.0, 2.0, off=29.0)
+    assert temperature == pytest.approx(40.0) and sd == pytest.approx(np.hypot(2.0, 29.0 * CERTAIN), rel=1e-6)
+    assert mixed(0.1, 0.1, off=29.0) == mixed(0.1, 0.1)

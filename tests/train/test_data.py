@@ -53,6 +53,28 @@ def test_noise_has_the_deviation_that_is_stated() -> None:
     assert np.array_equal(noisy.channels["speed"], quiet.channels["speed"]), "targets are true"
 
 
+@pytest.mark.parametrize("lag_s", [1e-3, 8e-3])
+def test_coloured_noise_has_the_deviation_and_the_correlation_of_a_first_order_lag(lag_s: float) -> None:
+    drawn = np.stack(
+        [Noise(1.0, 1.0, lag_s).drawn(4000, 2e-3, np.random.default_rng([5, k])) for k in range(20)]
+    )
+    # From the first sample on.
+    for part in (drawn[:, :20], drawn):
+        assert part.std() == pytest.approx(1.0, rel=0.12)
+    for step in (1, 3):
+        assert np.mean(drawn[:, step:] * drawn[:, :-step]) == pytest.approx(
+            np.exp(-step * 2e-3 / lag_s), abs=0.03
+        )
+
+
+def test_noise_of_any_kind_is_half_white_and_up_to_ten_times_either_way() -> None:
+    kinds = [Noise(0.5, 0.05).of_any_kind(np.random.default_rng(k)) for k in range(400)]
+    sizes, lags = np.array([k.voltage_V / 0.5 for k in kinds]), np.array([k.lag_s for k in kinds])
+    assert 0.05 <= sizes.min() < 0.07 and 8.0 < sizes.max() <= 10.0
+    assert np.mean(lags == 0.0) == pytest.approx(0.5, abs=0.08)
+    assert 1e-3 <= lags[lags > 0].min() < 1.2e-3 and 8e-3 < lags.max() <= 1e-2
+
+
 def test_a_seed_is_a_cycle_and_another_seed_another() -> None:
     same = [
         duty_cycle(MOTOR, QUIET, 200.0, 400.0, np.random.default_rng([1, 2])).channels["current"]

@@ -12,7 +12,7 @@ from helpers.sensors import small_sensor
 from numba import njit
 
 from motorlens_physics.effect import catalogue
-from motorlens_physics.motor_file import with_overrides
+from motorlens_physics.motor_file import Knowledge, with_overrides
 from motorlens_physics.scenario import chosen_scenario, measure, perform
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_runtime.estimate.estimator import Estimator
@@ -245,8 +245,9 @@ def test_nothing_is_learned_at_rest_without_current(watching):
 
 @pytest.mark.fit
 def test_deviation_widens_without_excitation_and_narrows_at_a_step():
-    # Of the filter's own deviation: that the motor is the file's is beyond doubt.
-    doubting = observer(MELLAH, replace(SETTINGS, thermal_walk=0.1, others=1e-6))
+    # Of the filter's own deviation: that the motor is the file's, and its resistance with it, is beyond doubt.
+    file = replace(MELLAH, knowledge={**MELLAH.knowledge, "R_a0": Knowledge(0.0)})
+    doubting = observer(file, replace(SETTINGS, thermal_walk=0.1, others=1e-6))
     n, at = 60_000, 40_000
     rng = np.random.default_rng(1)
     time = np.arange(n) * 0.01

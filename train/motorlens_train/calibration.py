@@ -14,6 +14,8 @@ from scipy.optimize import minimize
 from motorlens_train.specification import Array
 
 RIDGES = (0.001, 0.01, 0.1, 1.0)
+# No sensor is better than this share of how far its output spreads; below it, how near it came says nothing.
+FLOOR = 2e-3
 # With fewer cycles than this, how errors depend on the situation cannot be learned: one variance for all.
 ENOUGH = 6
 
@@ -31,10 +33,13 @@ def noise_head(read: Sequence[Array], errors: Sequence[Array], function_variance
     """
     heads = []
     for k in range(errors[0].shape[1]):
-        parts = [(z, e[:, k] ** 2, s[:, k]) for z, e, s in zip(read, errors, function_variance, strict=True)]
+        parts = [
+            (z, e[:, k] ** 2 + FLOOR**2, s[:, k])
+            for z, e, s in zip(read, errors, function_variance, strict=True)
+        ]
         if len(parts) < ENOUGH:
             constant = np.zeros(read[0].shape[1])
-            constant[0] = np.log(np.mean(np.concatenate([square for _, square, _ in parts])) + 1e-10)
+            constant[0] = np.log(np.mean(np.concatenate([square for _, square, _ in parts])))
             heads.append(constant)
             continue
         halves = (parts[::2], parts[1::2])
@@ -59,7 +64,7 @@ def _fit(parts: Sequence[_Part], ridge: float) -> Array:
         return float(value), np.asarray(slope + ridge * np.concatenate([[0.0], c[1:]]))
 
     start = np.zeros(z.shape[1])
-    start[0] = np.log(square.mean() + 1e-10)
+    start[0] = np.log(square.mean())
     return np.asarray(minimize(objective, start, jac=True, method="L-BFGS-B", options={"maxiter": 200}).x)
 
 

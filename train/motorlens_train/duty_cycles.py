@@ -1,7 +1,7 @@
 """Duty cycles for training: a motor through random voltage, load, ambient and start temperature, hot restarts
 included.
 
-What the sensor sees is voltage and current with white Gaussian noise; the targets are true. Cycles start from
+What the sensor sees is voltage and current with Gaussian noise, white or coloured; the targets are true. Cycles start from
 ambient temperature; standstills inside a cycle give hot restarts whose history the sensor has seen. A motor
 that starts warm, or runs already when the sensor is switched on, is a case of its own (`unknown_history`):
 filters of voltage and current alone cannot know what heated it, and a network trained on a mixture would be
@@ -11,6 +11,7 @@ wrong about both.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
@@ -21,15 +22,32 @@ from motorlens_train.specification import Array
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation of each sample's white Gaussian noise."""
+    """Standard deviation of each sample's Gaussian noise, and the time constant of the first-order lag that has coloured
+    it; 0: white."""
 
     voltage_V: float
     current_A: float
+    lag_s: float = 0.0
 
-    def of_any_size(self, rng: np.random.Generator) -> "Noise":
-        """From a clean supply to a bad one: times 0.05 to 10, evenly in the logarithm, the current's up to twice apart."""
-        size, apart = np.exp(rng.uniform(np.log([0.05, 0.5]), np.log([10.0, 2.0])))
-        return Noise(float(self.voltage_V * size), float(self.current_A * size * apart))
+    def of_any_kind(self, rng: np.random.Generator) -> "Noise":
+        """From a clean supply to a bad one: times 0.05 to 10, evenly in the logarithm, the current's up to twice apart; half
+        of them coloured, as by filters before a converter, with 1 to 10 ms."""
+        size, apart, lag = np.exp(rng.uniform(np.log([0.05, 0.5, 1e-3]), np.log([10.0, 2.0, 1e-2])))
+        coloured = rng.random() < 0.5
+        return Noise(
+            float(self.voltage_V * size),
+            float(self.current_A * size * apart),
+            float(lag) if coloured else 0.0,
+        )
+
+    def drawn(self, count: int, period_s: float, rng: np.random.Generator) -> Array:
+        """(count,) with deviation 1: an autoregression of first order, stationary from its first sample."""
+        white = rng.standard_normal(count)
+        if self.lag_s <= 0.0:
+            return white
+        keep = float(np.exp(-period_s / self.lag_s))
+        white[1:] *= np.sqrt(1.0 - keep * keep)
+        return np.asarray(lfilter([1.0], [1.0, -keep], white))
 
 
 @dataclass(frozen=True)
@@ -91,10 +109,10 @@ def duty_cycle(
 
 
 def with_noise(truth: Recording, noise: Noise, rng: np.random.Generator) -> Recording:
-    """Add white Gaussian noise to voltage and current."""
+    """Add noise to voltage and current."""
     channels = dict(truth.channels)
     for channel, deviation in (("voltage", noise.voltage_V), ("current", noise.current_A)):
-        channels[channel] = channels[channel] + deviation * rng.standard_normal(len(truth))
+        channels[channel] = channels[channel] + deviation * noise.drawn(len(truth), truth.period_s, rng)
     return replace(truth, channels=channels)
 
 

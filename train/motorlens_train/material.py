@@ -98,7 +98,7 @@ def from_motor(
         settled = observed is not None and (number >= cycles or fifth <= number < 2 * fifth)
         other = np.random.default_rng([seed, number, 1])
         one = relative(file, tolerance, other) if make is None else of_the_make(file, spread, other)
-        noise_here = deviations.of_any_size(np.random.default_rng([seed, number, 2]))
+        noise_here = deviations.of_any_kind(np.random.default_rng([seed, number, 2]))
         made[number] = simulated(one, bank, noise_here, rate, [seed, number], unknown, settled)
         done(len(made))
     usual = (12, 8) if observed is None else (6,)
@@ -113,8 +113,8 @@ def from_motor(
     origin = (
         f"{cycles - 2 * fifth if learns else len(made)} simulated duty cycles of {file.name}: random voltage, load and "
         "ambient, hot restarts, "
-        f"{starts}, up to {LONGEST_S:g} s, white noise {deviations.voltage_V:.3g} V and "
-        f"{deviations.current_A:.3g} A a sample, times 0.05 to 10"
+        f"{starts}, up to {LONGEST_S:g} s, noise of {deviations.voltage_V:.3g} V and "
+        f"{deviations.current_A:.3g} A a sample, times 0.05 to 10, white or coloured"
         + (
             f"; every cycle another motor, its parameters up to {100 * tolerance:g} % off"
             if tolerance

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from motorlens_physics.motor_file import Knowledge
 from motorlens_train.observer.algebra import probability
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.signals import rounding
@@ -41,6 +42,17 @@ STAMPED = 0.1**2
 MOST = 50.0
 # A winding colder than ambient by COLDEST or warmer by WARMEST, K, is none.
 WARMEST, COLDEST = 250.0, 20.0
+
+
+def open_resistance(layout: Layout) -> float:
+    """Half the width, as a share, of the even spread of R_a0: what the file leaves open, at most a maker's tolerance.
+
+    0 where `tolerances` has it already.
+    """
+    if "R_a0" in dict(layout.settings.tolerances):
+        return 0.0
+    sd = layout.knowledge.get("R_a0", Knowledge()).sd
+    return TOLERANCE if sd is None else min(TOLERANCE, 3**0.5 * sd / layout.motor.R_a0)
 
 
 def variances(layout: Layout, shares: Mapping[str, float]) -> tuple[float, float]:

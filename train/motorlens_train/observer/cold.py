@@ -22,6 +22,8 @@ from motorlens_train.observer.program import Recorder, Value
 COLD = 0.5
 # Of the rated current: what a motor at rest does not draw.
 FLOWING = 0.05
+# How many motors are the file's in all but their resistance: by a longer cable, worn brushes, a winding mended.
+SPLICED = 0.02
 # `widened` of what is certain.
 CERTAIN = (1 - ONE_IN_TWENTY[0] * COLD) / ONE_IN_TWENTY[1]
 
@@ -94,13 +96,17 @@ def walked(layout: Layout, T: Any) -> Any:
 
 @dataclass(frozen=True)
 class Start:
-    """What follows for the temperature: by how much it `moves` from the filter's, K, and its `variance`, K^2."""
+    """What follows for the temperature: by how much it `moves` from the filter's, K, its `variance`, K^2, and that with the
+    `thermometer`'s own: of a temperature that is read off the resistance, and of nothing else."""
 
     moves: Any
     variance: Any
+    thermometer: Any
 
 
-def weighed(layout: Layout, track: Track, theta: Any, variance: Any, unknown: Any, other: Any) -> Start:
+def weighed(
+    layout: Layout, track: Track, theta: Any, variance: Any, unknown: Any, other: Any, off: Any
+) -> Start:  # fmt: skip
     """The two hypotheses mixed.
 
     Args:
@@ -110,6 +116,8 @@ def weighed(layout: Layout, track: Track, theta: Any, variance: Any, unknown: An
         unknown: what of that variance no measurement reduces, K^2.
         other: what the variance is more because the motor may be another, K^2. Which start it was is judged by the file's
             motor: of another, the temperature says nothing.
+        off: half the width of the even spread by which a temperature that is read off the resistance is wrong, K, where
+            R_a0 alone is not the file's.
     """
     place = layout.at["theta"]
     apart = track.rises[0] - theta
@@ -126,4 +134,8 @@ def weighed(layout: Layout, track: Track, theta: Any, variance: Any, unknown: An
     near = (track.variance.sqrt() + warm * distance) * widened(cold, COLD)
     far = ((variance + other).sqrt() + cold * distance) * widened(warm, COLD)
     widest = near.max(far) * (1 / CERTAIN)
-    return Start(moves, widest * widest)
+    # Of a resistance that is not the file's nothing tells but a cold start that shows the file's.
+    reach = off * CERTAIN
+    farther = (variance + other + reach * reach).sqrt() + cold * distance
+    most = widest.max(farther * widened(warm * SPLICED, COLD * SPLICED) * (1 / CERTAIN))
+    return Start(moves, widest * widest, most * most)

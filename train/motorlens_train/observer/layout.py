@@ -72,7 +72,7 @@ class Layout:
     """One observer under construction: numbers from the motor file, symbols from its equations, the places of its state.
 
     Attributes:
-        settings, rated, motor: what it is built for.
+        settings, rated, motor, knowledge: what it is built for, and what the file knows of the motor's parameters.
         period: of a window, s.
         v_sd, i_sd: noise of a sample that it starts from, V and A.
         states, at: names of the states, and the place of each.
@@ -89,6 +89,7 @@ class Layout:
         self.v_sd = settings.voltage_sd or 0.002 * rated.voltage_V
         self.i_sd = settings.current_sd or 0.007 * rated.current_A
         # The current is an input; a parameter that varies is a constant state.
+        self.knowledge = file.knowledge
         self.parameters = tuple(key for key, _ in settings.tolerances if key != "R_a0")
         self.system: Equations = equations(m, self.parameters)
         self.states = (*self.system.states[1:], *self.parameters)

@@ -3,7 +3,7 @@
 from typing import Any
 
 from motorlens_train.observer.algebra import dot, mixed, probability
-from motorlens_train.observer.belief import HOLD_KNOWN, doubt
+from motorlens_train.observer.belief import HOLD_KNOWN, doubt, open_resistance
 from motorlens_train.observer.cold import track_of, weighed
 from motorlens_train.observer.file import MEMORY, WINDOW
 from motorlens_train.observer.layout import Layout
@@ -56,12 +56,16 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     variances["temperature"] = variances["temperature"] + apart * apart
     # A start from ambient temperature, as far as it is borne out; and with the temperature goes what errs along with it.
     filtered = variances["temperature"]
-    start = weighed(layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"])
+    off = (x[theta] + 1 / layout.motor.alpha) * open_resistance(layout)
+    start = weighed(
+        layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"], off
+    )
     along = {"speed": P[w][theta], "temperature": filtered, "resistance": ohms * P[theta][theta]}
     for name, covariance in along.items():
         slope = 1.0 if name == "temperature" else covariance / filtered
         outputs[name] = outputs[name] + slope * start.moves
         variances[name] = variances[name] + slope * slope * (start.variance - filtered)
+    variances["temperature"] = start.thermometer
     sizes = {
         "speed": layout.rated.speed_rad_s, "temperature": layout.rated.rise_K,
         "resistance": layout.motor.R_a0 * layout.motor.alpha * layout.rated.rise_K,
