@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 from helpers.sensor_files import make_spec, write_sensor
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from motorlens_runtime.cli import main
@@ -70,6 +70,8 @@ def pair(request, tmp_path_factory):
 @needs_core
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 1500), max_size=8), st.booleans())
+# Samples one at a time.
+@example(1, [700, 701, 702], False)
 def test_the_core_gives_words_and_states_of_python_to_the_bit(pair, seed, edges, with_ambient):
     python, core = pair
     samples = damaged_stream(1500, seed)

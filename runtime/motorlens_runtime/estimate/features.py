@@ -70,7 +70,9 @@ class FeatureMap:
             volts, amperes = voltage.item(), current.item()
             ambient_C = 0.0 if channels.ambient_C is None else channels.ambient_C.item()
             alone = 1.0, volts, amperes, volts - self._resistance_ohm * amperes, ambient_C
-            return np.array([[alone[first] * alone[second]] for first, second in self._pairs])
+            products = [alone[first] * alone[second] for first, second in self._pairs]
+            # An observer that stands alone has no signals: an array of none would be flat.
+            return np.array(products, dtype=np.float64).reshape(len(products), 1)
         measured = np.empty((len(_MEASURED), len(voltage)))
         measured[0], measured[1], measured[2] = 1.0, voltage, current
         # Back-EMF with the winding taken as cold.
