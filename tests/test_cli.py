@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
+from helpers.processes import LIMIT_S
 
 from motorlens_runtime import cli
 
@@ -50,7 +51,7 @@ def test_the_overview_names_every_command_without_loading_what_is_heavy() -> Non
         "sys.exit(f'loaded {heavy}' if heavy else 0)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", probe], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", probe], capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
     assert done.returncode == 0, done.stderr
     assert all(command in done.stdout for command in COMMANDS)
@@ -103,7 +104,7 @@ subprocess.run([sys.executable, "-c", "import os; print(os.environ.get('OPENBLAS
         capture_output=True,
         text=True,
         env=clean | given,
-        timeout=60,
+        timeout=LIMIT_S,
         check=True,
     )
     assert done.stdout.strip() == then

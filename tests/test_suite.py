@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from helpers.processes import LIMIT_S
 
 HERE = Path(__file__).resolve().parent
 FILES = sorted(path for path in HERE.rglob("*.py") if "hidden" not in path.parts)
@@ -39,6 +40,16 @@ def test_no_loop_sleeps_for_ever(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.While) and all(_is_sleep(statement) for statement in node.body):
             raise AssertionError(f"{path.name}:{node.lineno}: a loop that only sleeps; use eventually")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(HERE)))
+def test_no_limit_judges_the_speed_of_the_machine(path: Path) -> None:
+    """A limit of a few seconds passes on an idle machine and fails on one that is busy; `LIMIT_S` ends what hangs."""
+    for name, call in calls(path):
+        for keyword in call.keywords:
+            if keyword.arg == "timeout" and isinstance(keyword.value, ast.Constant):
+                limit = keyword.value.value
+                assert limit is None or limit >= LIMIT_S, f"{path.name}:{call.lineno}: {name}, {limit} s"
 
 
 def _is_sleep(statement: ast.stmt) -> bool:

@@ -13,7 +13,7 @@ QUIET = (
 )  # fmt: skip
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 # Nothing on a page takes longer than this, however busy the machine, but for a step of the workbench.
-PATIENCE_MS = 60_000
+PATIENCE_MS = 120_000
 
 
 def _reason() -> str:

@@ -14,7 +14,7 @@ import urllib.request
 
 import numpy as np
 import pytest
-from helpers.processes import MOTORLENS, Program, eventually
+from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually
 from helpers.sensor_files import write_sensor
 from helpers.wire_device import WireDevice
 
@@ -58,7 +58,7 @@ def rows(time_s, quality=0, seed=0):
 def ask(page, path, **headers):
     request = urllib.request.Request(page.url.partition("?")[0].rstrip("/") + path, headers=headers)
     try:
-        with urllib.request.urlopen(request, timeout=10) as answer:
+        with urllib.request.urlopen(request, timeout=LIMIT_S) as answer:
             return answer.status, answer.read()
     except urllib.error.HTTPError as error:
         return error.code, error.read()
@@ -220,7 +220,7 @@ def post(page, path, document):
         page.url.partition("?")[0].rstrip("/") + path, json.dumps(document).encode(), headers, method="POST"
     )
     try:
-        with urllib.request.urlopen(request, timeout=10) as answer:
+        with urllib.request.urlopen(request, timeout=LIMIT_S) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()

@@ -3,11 +3,11 @@
 import asyncio
 import math
 import socket
-import time
 import warnings
 
 import numpy as np
 import pytest
+from helpers.processes import LIMIT_S, eventually
 
 from motorlens_runtime.errors import DataError, DeviceError
 from motorlens_runtime.estimate.estimator import Estimates
@@ -57,7 +57,7 @@ def read(publisher, *names):
 
 def published(publisher, rows):
     publisher.publish(rows)
-    publisher._writing.result(10)
+    publisher._writing.result(LIMIT_S)
 
 
 @pytest.mark.fit
@@ -98,9 +98,7 @@ def test_alarms_that_are_on(publisher):
     publisher.event({"alarm": "hot", "active": True})
     publisher.event({"alarm": "fast", "active": True})
     publisher.event({"alarm": "fast", "active": False})
-    end = time.monotonic() + 10
-    while read(publisher, "alarms")[0].Value.Value != ["hot"]:
-        assert time.monotonic() < end
+    eventually(lambda: read(publisher, "alarms")[0].Value.Value == ["hot"], "the alarm that is on")
 
 
 def test_no_client_can_write(publisher):

@@ -109,7 +109,7 @@ def test_udp_without_a_listener_and_with_a_deaf_one_neither_waits_nor_raises():
 
 def fetch(address, path):
     try:
-        with urllib.request.urlopen(f"http://{address[0]}:{address[1]}{path}", timeout=5) as answer:
+        with urllib.request.urlopen(f"http://{address[0]}:{address[1]}{path}", timeout=LIMIT_S) as answer:
             return answer.status, answer.headers["Content-Type"], answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.headers["Content-Type"], error.read().decode()
@@ -234,7 +234,7 @@ class Broker:
 
     def _answers(self):
         try:
-            socket.create_connection(("127.0.0.1", self.port), timeout=1.0).close()
+            socket.create_connection(("127.0.0.1", self.port), timeout=LIMIT_S).close()
         except OSError:
             return False
         return True
@@ -242,7 +242,7 @@ class Broker:
     def stop(self):
         if self.process is not None:
             self.process.terminate()
-            self.process.wait(10)
+            self.process.wait(LIMIT_S)
             self.process = None
 
 

@@ -71,7 +71,7 @@ def test_what_brnn_finds_is_what_it_prints_today(tmp_path: Path) -> None:
     for name, draw in zip(names, BRNN, strict=True):
         np.savetxt(tmp_path / name, np.hstack(noisy_sine(draw)))
     done = subprocess.run(
-        ["Rscript", "run.R", *names], cwd=tmp_path, capture_output=True, text=True, timeout=120
+        ["Rscript", "run.R", *names], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
     if "there is no package" in done.stderr:
         pytest.skip("R has no package brnn")

@@ -11,7 +11,7 @@ from motorlens_workbench.hypotheses.changes import Change
 from motorlens_workbench.report.json import sentence
 from motorlens_workbench.verdict import settle
 
-DT, N = 0.002, 3200
+DT, N = 0.002, 2400
 TIME = np.arange(N) * DT
 # The same information in fewer samples: noise of eight thousand, less by the root of how many there are.
 LESS = (N / 8000) ** 0.5
@@ -19,8 +19,8 @@ LESS = (N / 8000) ** 0.5
 
 def diagnosed(**shares):
     rng = np.random.default_rng(4)
-    voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 80), 80)
-    load = np.repeat(rng.uniform(-8, 8, N // 160), 160)
+    voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 60), 60)
+    load = np.repeat(rng.uniform(-8, 8, N // 120), 120)
     current, speed = drive(voltage, load, DT, **shares)
     channels = {
         "voltage": voltage,
@@ -36,8 +36,8 @@ def diagnosed(**shares):
 @pytest.mark.parametrize(
     ("shares", "parameter", "at_s", "by"),
     [
-        ({"flux": np.where(TIME > 2.4, 0.98, 1.0)}, "ke", 2.4, -0.02),
-        ({"resistance": np.where(TIME > 4.0, 1.04, 1.0)}, "R_a0", 4.0, 0.04),
+        ({"flux": np.where(TIME > 1.8, 0.98, 1.0)}, "ke", 1.8, -0.02),
+        ({"resistance": np.where(TIME > 3.0, 1.04, 1.0)}, "R_a0", 3.0, 0.04),
     ],
 )
 def test_a_change_at_once_is_unknown_and_dated(shares, parameter, at_s, by):
@@ -47,7 +47,7 @@ def test_a_change_at_once_is_unknown_and_dated(shares, parameter, at_s, by):
     assert isinstance(change, Change)
     assert change.term == parameter
     assert change.by(float(verdict.shape.coefficient[0])) == pytest.approx(by, rel=0.15)
-    assert change.at_s == pytest.approx(at_s, abs=0.16)
+    assert change.at_s == pytest.approx(at_s, abs=0.12)
     assert f"{parameter} changes at once" in sentence(found, verdict)
 
 

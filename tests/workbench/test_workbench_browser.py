@@ -18,7 +18,7 @@ from motorlens_workbench.web.step import Choice, Order
 
 pytestmark = [needs_browser, pytest.mark.fit]
 MODEL = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
-STEP_MS = 240_000
+STEP_MS = 600_000
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pathlib import Path
 from urllib.parse import urlencode
 
 import pytest
-from helpers.processes import MOTORLENS, Program, eventually
+from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually
 
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_runtime.cli import main
@@ -43,7 +43,7 @@ class Browser:
         self.server = LoopbackServer(WorkbenchPage(self.session, Effects()).answer)
 
     def ask(self, path, document=None, **headers):
-        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
+        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=LIMIT_S)
         headers = {"Authorization": f"Bearer {self.server.token}", **headers}
         if document is None:
             connection.request("GET", path, None, headers)
@@ -61,7 +61,7 @@ class Browser:
         """A file, in pieces, as the page sends it; returns the last answer."""
         for offset in range(0, max(len(content), 1), piece):
             fields = {"name": name, "offset": offset, "size": len(content), **query}
-            connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
+            connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=LIMIT_S)
             headers = {
                 "Authorization": f"Bearer {self.server.token}",
                 "Content-Type": "application/octet-stream",
@@ -277,7 +277,7 @@ def test_the_command_serves_until_it_is_told_to_end(tmp_path):
     with Program(command, cwd=tmp_path) as program:
         line = program.line(of_error=True)
         url = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", line)[0]
-        with urllib.request.urlopen(url, timeout=30) as answer:
+        with urllib.request.urlopen(url, timeout=LIMIT_S) as answer:
             assert answer.status == 200 and b"motorlens workbench" in answer.read()
         program.send(signal.SIGTERM)
         assert program.ended() == 0 and program.error == line + "\n", program.told()

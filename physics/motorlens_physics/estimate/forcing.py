@@ -72,8 +72,10 @@ def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> For
     rounds = getattr(effect, effect.with_role("count"), 1.0)
     advance, period_s = rounds * np.gradient(x.phi), float(np.median(np.diff(u.t)))
     lag_s = {"voltage": motor.L / motor.R_a0, "torque": motor.J / (motor.b + motor.ke**2 / motor.R_a0)}
-    parts = {}
+    parts = {name: np.zeros(len(advance)) for name in lag_s}
     for name, lag in lag_s.items():
+        if getattr(type(effect), name) is getattr(Effect, name):
+            continue  # it adds nothing to this balance
         factor = between_samples(advance, lag / period_s, held=held)
         at = SimpleNamespace(**{**vars(x), "phi": x.phi + np.angle(factor) / rounds})
         size = np.abs(factor)

@@ -11,7 +11,7 @@ from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.look import best_of
-from motorlens_workbench.report.json import least_text, next_command, size_text
+from motorlens_workbench.report.json import least_text, next_command, risen, size_text
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Page, Section, significant, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Fact, Grid, Plot, Table, curves
@@ -118,6 +118,7 @@ def _ladder(document: dict[str, Any]) -> Content:
         rows = [Bar("base model", before, "lacking"), Bar("with what was named", error["after"][channel])]
         rows.append(Bar("noise floor", error["noise_floor"][channel], "noise"))
         content.append(Bars(f"Error of {channel}, rms", UNIT_OF[channel], rows))
+    content += risen(error["before"], error["after"])
     content.append(
         "On blocks of time that the parameters were not fitted to, taken from all operating regions."
     )

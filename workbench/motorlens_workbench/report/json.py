@@ -18,7 +18,7 @@ from motorlens_workbench.hypotheses.contact import Contact
 from motorlens_workbench.hypotheses.courses import Course
 from motorlens_workbench.hypotheses.dead_channels import DeadChannel
 from motorlens_workbench.hypotheses.memory import Memory
-from motorlens_workbench.report.page import unit_text
+from motorlens_workbench.report.page import significant, unit_text
 from motorlens_workbench.verdict import Verdict, detectable, measured, seen_named, sizes
 
 SHOWN = 12
@@ -77,6 +77,23 @@ def errors(found: Finding) -> dict[str, Any]:
     after = held_out(last.book, last.lines) if found.outcome.accepted else before
     floor = pooled_floor(last.fitted.model, last.fitted.runs)
     return {"before": before, "after": after, "noise_floor": floor, "held_out": True}
+
+
+def risen(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
+    """A sentence on the channels whose error is larger after than before, in the digits that are shown; none without any.
+
+    >>> risen({"speed": 2.0}, {"speed": 1.0})
+    []
+    >>> print(*risen({"speed": 2.0, "current": 0.100}, {"speed": 1.0, "current": 0.112}))
+    The error of current rises (0.1 to 0.112): what was added was judged by all channels together, in units of their noise.
+    """
+    rise = [
+        f"{channel} rises ({significant(error, 3)} to {significant(after[channel], 3)})"
+        for channel, error in before.items()
+        if after.get(channel, 0.0) > error and significant(after[channel], 3) != significant(error, 3)
+    ]
+    why = "what was added was judged by all channels together, in units of their noise."
+    return [f"The error of {', of '.join(rise)}: {why}"] if rise else []
 
 
 def _dead(one: DeadChannel) -> dict[str, Any]:
@@ -190,6 +207,7 @@ def to_text(document: Mapping[str, Any]) -> str:
         rows.append(
             f"{channel:<14}{before:>12.4g}{error['after'][channel]:>12.4g}{error['noise_floor'][channel]:>12.4g}"
         )
+    rows += risen(error["before"], error["after"])
     rows += [
         "",
         f"{'hypothesis':<34}{'probability':>12}{'p by chance':>13}   {'size':<26}would have been seen from",

@@ -8,6 +8,7 @@ from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.run import UNIT_OF, prepare_all
 from motorlens_physics.recording import Recording
 from motorlens_workbench.ladder import Ladder
+from motorlens_workbench.report.json import risen
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Page, Section, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Grid, Plot, Table
@@ -82,6 +83,7 @@ def to_text(document: dict[str, Any]) -> str:
             )
         )
     rows.append(f"{'noise floor':<34}" + "".join(f"{document['noise_floor'][c]:>14.4g}" for c in channels))
+    rows += _risen(document)
     rows += ["", f"{'parameter':<34}{'value':>14}{'sd':>12}"]
     for key, entry in document["parameters"].items():
         spread = f"{entry['sd']:>12.2g}" if entry["sd"] is not None else " " * 12
@@ -104,6 +106,7 @@ def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = (
         rows = [Bar(_label(rung["added"]), rung["held_out"].get(c, math.nan)) for rung in rungs]
         rows.append(Bar("noise floor", document["noise_floor"][c], "noise"))
         bars.append(Bars(f"Error of {c}, rms", UNIT_OF.get(c, ""), rows))
+    bars += _risen(document)
     bars.append("On blocks of time that the parameters were not fitted to, taken from all operating regions.")
     rows_ = [
         [key, e["value"], "" if e["sd"] is None else e["sd"], unit_text(e["unit"])]
@@ -140,6 +143,14 @@ def before_and_after(found: Ladder, recordings: Sequence[Recording]) -> list[Plo
             predicted[name] = (role, beside.predicted)
         plots.append(overlay(beside.run, beside.trajectory, predicted, found.noise_floor))
     return plots
+
+
+def _risen(document: dict[str, Any]) -> list[str]:
+    rungs = document["ladder"]
+    # Without an effect the error rises, and nobody wonders.
+    if len(rungs) < 2 or rungs[-1]["added"].startswith("without"):
+        return []
+    return risen(rungs[-2]["held_out"], rungs[-1]["held_out"])
 
 
 def _label(added: str) -> str:
