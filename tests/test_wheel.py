@@ -94,10 +94,13 @@ def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_
 @pytest.mark.fit
 def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path, wheel):
     write_inputs(tmp_path)
-    venv.create(tmp_path / "clean", with_pip=True)
+    venv.create(tmp_path / "clean", with_pip=False)
     python = tmp_path / "clean" / "bin" / "python"
     installed = subprocess.run(
-        [python, "-m", "pip", "install", "-q", wheel], capture_output=True, text=True, timeout=600
+        [sys.executable, "-m", "pip", "--python", python, "install", "-q", wheel],
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
     if installed.returncode and "No matching distribution" in installed.stderr:
         pytest.skip("no package index can be reached from here")
