@@ -27,7 +27,7 @@ def watching():
     return observer(MELLAH, SETTINGS)
 
 
-def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0, off=0.0):
+def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0, reach=0.0):
     """Temperature and its deviation, of the filter's `theta` +- `sd` and a winding that began cold and is now at `rise`."""
     r = Recorder()
     theta_now, variance, track = r.inputs(["theta", "variance", "track"])
@@ -38,7 +38,7 @@ def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0, off=0.0):
         variance,
         0.0,
         other_sd**2,
-        off,
+        reach,
     )
     moves, stated = (float(v) for v in r.program([start.moves, start.thermometer])(theta, sd**2, 0.01, ran))
     return theta + moves, np.sqrt(stated)
@@ -138,6 +138,6 @@ def test_a_file_that_knows_its_resistance_leaves_less_of_it_open(sd, expected):
 
 
 def test_who_is_warm_has_a_thermometer_as_good_as_its_resistance_and_who_is_cold_needs_none():
-    temperature, sd = mixed(40.0, 2.0, off=29.0)
-    assert temperature == pytest.approx(40.0) and sd == pytest.approx(np.hypot(2.0, 29.0 * CERTAIN), rel=1e-6)
-    assert mixed(0.1, 0.1, off=29.0) == mixed(0.1, 0.1)
+    temperature, sd = mixed(40.0, 2.0, reach=14.0)
+    assert temperature == pytest.approx(40.0) and sd == pytest.approx(2.0 + 14.0, rel=1e-6)
+    assert mixed(0.1, 0.1, reach=14.0) == mixed(0.1, 0.1)

@@ -6,7 +6,9 @@ temperature is followed beside the filter, by the same equations, uncorrected; a
 probabilities. The density of the filter's temperature at the cold one, after and before what was measured, is the Bayes
 factor (Savage and Dickey; Verdinelli and Wasserman 1995, doi:10.1080/01621459.1995.10476554).
 
-A warm start, or a motor that ran before the sensor did, is shown by the first inrush, and the filter stands alone.
+A warm start, or a motor that ran before the sensor did, is shown by the first inrush, and the filter stands alone. Its only
+thermometer is then the resistance, and 1 % of R_a0 passes for 2.5 K: the temperature, and nothing else, is as unsure as the
+motor file is of R_a0. A cold start, whose resistance is the file's, needs no such thermometer.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,8 +24,6 @@ from motorlens_train.observer.program import Recorder, Value
 COLD = 0.5
 # Of the rated current: what a motor at rest does not draw.
 FLOWING = 0.05
-# How many motors are the file's in all but their resistance: by a longer cable, worn brushes, a winding mended.
-SPLICED = 0.02
 # `widened` of what is certain.
 CERTAIN = (1 - ONE_IN_TWENTY[0] * COLD) / ONE_IN_TWENTY[1]
 
@@ -105,7 +105,7 @@ class Start:
 
 
 def weighed(
-    layout: Layout, track: Track, theta: Any, variance: Any, unknown: Any, other: Any, off: Any
+    layout: Layout, track: Track, theta: Any, variance: Any, unknown: Any, other: Any, reach: Any
 ) -> Start:  # fmt: skip
     """The two hypotheses mixed.
 
@@ -116,8 +116,8 @@ def weighed(
         unknown: what of that variance no measurement reduces, K^2.
         other: what the variance is more because the motor may be another, K^2. Which start it was is judged by the file's
             motor: of another, the temperature says nothing.
-        off: half the width of the even spread by which a temperature that is read off the resistance is wrong, K, where
-            R_a0 alone is not the file's.
+        reach: of a temperature that is read off the resistance, where R_a0 alone is not the file's: a deviation, K, whose
+            95 % interval holds as much of its even spread.
     """
     place = layout.at["theta"]
     apart = track.rises[0] - theta
@@ -132,10 +132,11 @@ def weighed(
     distance = apart.abs()
     # An interval about the mixture's mean holds each hypothesis as far as its probability asks for.
     near = (track.variance.sqrt() + warm * distance) * widened(cold, COLD)
-    far = ((variance + other).sqrt() + cold * distance) * widened(warm, COLD)
+    beyond = (variance + other).sqrt() + cold * distance
+    far = beyond * widened(warm, COLD)
     widest = near.max(far) * (1 / CERTAIN)
-    # Of a resistance that is not the file's nothing tells but a cold start that shows the file's.
-    reach = off * CERTAIN
-    farther = (variance + other + reach * reach).sqrt() + cold * distance
-    most = widest.max(farther * widened(warm * SPLICED, COLD * SPLICED) * (1 / CERTAIN))
+    # Of a resistance that is not the file's nothing tells but a cold start that shows the file's: until any other start is
+    # twenty times less likely than before, the interval holds it.
+    left_out = ONE_IN_TWENTY[0] * COLD
+    most = widest.max((beyond + reach) * ((1.0 - (1.0 / warm) * left_out) * (1 / (1 - left_out))))
     return Start(moves, widest * widest, most * most)

@@ -4,7 +4,7 @@ from typing import Any
 
 from motorlens_train.observer.algebra import dot, mixed, probability
 from motorlens_train.observer.belief import HOLD_KNOWN, doubt, open_resistance
-from motorlens_train.observer.cold import track_of, weighed
+from motorlens_train.observer.cold import CERTAIN, track_of, weighed
 from motorlens_train.observer.file import MEMORY, WINDOW
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.program import Program, Recorder
@@ -56,9 +56,9 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     variances["temperature"] = variances["temperature"] + apart * apart
     # A start from ambient temperature, as far as it is borne out; and with the temperature goes what errs along with it.
     filtered = variances["temperature"]
-    off = (x[theta] + 1 / layout.motor.alpha) * open_resistance(layout)
+    reach = (x[theta] + 1 / layout.motor.alpha) * (open_resistance(layout) * CERTAIN)
     start = weighed(
-        layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"], off
+        layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"], reach
     )
     along = {"speed": P[w][theta], "temperature": filtered, "resistance": ohms * P[theta][theta]}
     for name, covariance in along.items():
