@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,13 @@ FILES = sorted(path for path in HERE.rglob("*.py") if "hidden" not in path.parts
 STARTERS = {"helpers/processes.py", "runtime/test_publishers.py"}
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Call):
             yield ast.unparse(node.func), node
 
@@ -37,7 +43,7 @@ def test_no_loop_sleeps_for_ever(path: Path) -> None:
     """`while not done: sleep` never ends when what it waits for has died; `eventually` does."""
     if path.name == "processes.py":
         return
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.While) and all(_is_sleep(statement) for statement in node.body):
             raise AssertionError(f"{path.name}:{node.lineno}: a loop that only sleeps; use eventually")
 
