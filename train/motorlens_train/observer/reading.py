@@ -56,7 +56,9 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     variances["temperature"] = variances["temperature"] + apart * apart
     # A start from ambient temperature, as far as it is borne out; and with the temperature goes what errs along with it.
     filtered = variances["temperature"]
-    reach = (x[theta] + 1 / layout.motor.alpha) * (open_resistance(layout) * CERTAIN)
+    # As far as the temperature is no longer the first guess, it has been read off the resistance.
+    read_off = 1.0 - P[theta][theta] * (1 / layout.sd[theta] ** 2)
+    reach = (x[theta] + 1 / layout.motor.alpha) * read_off * (open_resistance(layout) * CERTAIN)
     start = weighed(
         layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"], reach
     )
