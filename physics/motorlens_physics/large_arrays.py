@@ -7,6 +7,8 @@ import sys
 # of what smaller ones leave: a page that comes anew from the system costs as much as computing what is written into it, and
 # a fit of a minute at 1 kHz drops a hundred arrays of a few megabytes in every step.
 _MMAP_THRESHOLD, _TRIM_THRESHOLD, _LARGE_OCTETS, _KEPT_OCTETS = -3, -1, 8 << 20, 64 << 20
+# M_ARENA_MAX: a thread takes its memory from the heap of all; in one of its own what it leaves would stay when it ends.
+_ARENA_MAX, _ARENAS = -8, 1
 
 
 def give_back() -> None:
@@ -19,3 +21,4 @@ def give_back() -> None:
     if library is not None and hasattr(library, "mallopt"):
         library.mallopt(_MMAP_THRESHOLD, _LARGE_OCTETS)
         library.mallopt(_TRIM_THRESHOLD, _KEPT_OCTETS)
+        library.mallopt(_ARENA_MAX, _ARENAS)
