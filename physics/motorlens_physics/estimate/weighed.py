@@ -264,10 +264,13 @@ def minimised(
         latest[0] = noisier(here, next(updates, BRIEFLY), outliers=outliers)
         return latest[0]
 
+    # On the way, near is enough; to the end, corrections that were made far away must not keep it from there.
+    def anew(here: Weighed) -> Weighed:
+        return at(here.model, here, prior) if outliers else here
+
     end, gram, left = minimise(
         point, prior, lambda model: at(model, latest[0], prior), rounds=ROUNDS,
-        enough=ENOUGH if outliers else CLOSE, between=between, anew=lambda here: at(here.model, here, prior),
-        progress=progress,
+        enough=ENOUGH if outliers else CLOSE, between=between, anew=anew, progress=progress,
     )  # fmt: skip
     return end, gram, left
 
