@@ -10,7 +10,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.model import error_of, predict
 from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
-from motorlens_physics.estimate.weighed import BRIEFLY, moved_on
+from motorlens_physics.estimate.weighed import moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.ledger import Beside, Ledger, ledger
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 # Hypotheses of a look, with a name and without, of which the doubt is told, and that are weighed with a noise of their own.
 DOUBTED, STRONGEST = 15, 5
+# Updates of the noise that a model leaves, at most: models are compared by the likelihood of the likeliest noise of each.
+THOROUGHLY = 60
 # Share of the largest torque that could be left unmeasured below which there is none.
 NEGLIGIBLE = 1e-8
 # Signs are flipped with this seed: the same recordings get the same answer.
@@ -155,13 +157,21 @@ def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
 
 def _unlikely_samples(here: Standing, fitted: Fitted) -> list[Array]:
     """(N,) of each run: how unlikely each sample is."""
-    told = []
-    for line, rest in zip(here.lines, _left_by(here, fitted), strict=True):
-        noise = likelier(_noise(line), line.run, line.linear, rest, line.run.there, BRIEFLY)[0]
-        seen = innovations(noise.space(line.run, line.linear, line.run.there), rest[:, :, None])
-        spread = np.where(np.isfinite(seen.scale), seen.scale, 1.0)
-        told.append(np.sum(seen.white[:, :, 0] ** 2 + 2 * np.log(spread), axis=1))
-    return told
+    left = zip(here.lines, _left_by(here, fitted), strict=True)
+    return [_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in left]
+
+
+def _likeliest(noise: Noise, line: Line, rest: Array) -> Noise:
+    """The noise under which what is left (N, C) is likeliest, from another."""
+    return likelier(noise, line.run, line.linear, rest, line.run.there, THOROUGHLY)[0]
+
+
+def _unlikely(line: Line, noise: Noise, rest: Array) -> Array:
+    """(N,) how unlikely each sample of what is left (N, C) is under a noise: twice the negative logarithm."""
+    seen = innovations(noise.space(line.run, line.linear, line.run.there), rest[:, :, None])
+    tells = np.isfinite(seen.scale) & ~line.run.rests[:, None]
+    spread = np.where(tells, seen.scale, 1.0)
+    return np.asarray(np.sum(seen.white[:, :, 0] ** 2 + 2 * np.log(spread), axis=1))
 
 
 def _left_by(here: Standing, fitted: Fitted) -> list[Array]:
@@ -184,7 +194,7 @@ def without_torque(line: Line) -> Noise:
     most[TORQUE] *= NEGLIGIBLE
     disturbances[TORQUE] = min(disturbances[TORQUE], most[TORQUE])
     pinned = replace(noise, most=most, disturbances=disturbances)
-    return likelier(pinned, line.run, line.linear, line.error, line.run.there, BRIEFLY)[0]
+    return _likeliest(pinned, line, line.error)
 
 
 def _strongest(fitted: Fitted, looks: Sequence[Look], null: Null) -> list[tuple[Look, Score]]:
@@ -215,16 +225,16 @@ def _challenger(
     """A hypothesis of a look under the noise that its best size leaves; None where that leaves nothing of it."""
     rests = seen.rests(score)
     found = [
-        likelier(noise, line.run, line.linear, rest, line.run.there, BRIEFLY)
-        for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
+        _likeliest(noise, line, rest) for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
     ]
-    likely = [_torque_of(noise, other) for noise, (other, _) in zip(noises, found, strict=True)]
+    likely = [_torque_of(noise, other) for noise, other in zip(noises, found, strict=True)]
     book, (entry,) = seen.entries([score], seen.lines, likely, fitted.prior, rests)
     again = book.beside().score(entry)
     if again is None or not again.possible:
         return None
     own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis)).doubted(score.doubt)
-    won = unlikely - sum(there for _, there in found)
+    each = zip(seen.lines, found, rests, strict=True)
+    won = unlikely - sum(float(np.sum(_unlikely(line, noise, rest))) for line, noise, rest in each)
     if not own.entry.hypothesis.named:
         # Under a noise of its own a term may seem to win what it has lost by parting with a likelier noise. What a name wins
         # is told when it is fitted in full: far from null the linearised problem leaves more than the name does.
@@ -235,7 +245,7 @@ def _challenger(
 def unlikelihood(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence[Array]) -> float:
     """Twice the negative logarithmic likelihood of what is left (N, C) of each run, as noise."""
     return sum(
-        likelier(noise, line.run, line.linear, rest, line.run.there, BRIEFLY)[1]
+        float(np.sum(_unlikely(line, _likeliest(noise, line, rest), rest)))
         for noise, line, rest in zip(noises, lines, rests, strict=True)
     )
 

@@ -8,11 +8,12 @@ import numpy as np
 from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
+from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
-from motorlens_workbench.evidence.held_out import times_noise
+from motorlens_workbench.evidence.held_out import fitted_errors, times_noise
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing
@@ -148,6 +149,22 @@ def _only_together(found: Finding, one: Accepted) -> str:
     return f"{name} is there beyond chance, but its parameters ({own}) are told only together: each may be near nothing."
 
 
+def _refused(found: Finding, name: str) -> str:
+    """A name that the screen points at and that does not hold, with what it does to the errors."""
+    attempt, last = found.outcome.attempts.get(name), found.outcome.last.fitted
+    if attempt is None:
+        return f"The screen points at {name}, but no model could be fitted with it: it stands for something else."
+    before, after = (fitted_errors(fitted.model, fitted.runs) for fitted in (last, attempt))
+    changes = " and ".join(
+        f"the error of {channel} goes from {error:.3g} to {after[channel]:.3g} {UNIT_OF[channel]}"
+        for channel, error in before.items()
+    )
+    return (
+        f"The screen points at {name}. Fitted with it, {changes}; one stretch of time does not agree with another on it, or "
+        "no more than chance would, so it may stand for something else."
+    )
+
+
 def limits(found: Finding, held: Sequence[Accepted], times: float) -> list[str]:
     """What the recordings cannot tell, in words.
 
@@ -190,11 +207,7 @@ def limits(found: Finding, held: Sequence[Accepted], times: float) -> list[str]:
             "nobody measured, or something that no hypothesis explains."
         )
     said += [_only_together(found, one) for one in held if not _told_alone(found, one)]
-    said += [
-        f"The screen points at {name}, but the model fitted with it does not follow: it stands for something else."
-        for name in found.outcome.refused
-        if not name.endswith("changes at once")
-    ]
+    said += [_refused(found, name) for name in found.outcome.refused if not name.endswith("changes at once")]
     return [*said, *findings(_as_fit(found)).sentences]
 
 

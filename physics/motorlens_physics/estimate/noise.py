@@ -124,10 +124,12 @@ def likelier(
 ) -> tuple[Noise, float]:
     """Noise under which the errors (N, C) are likelier, and twice their negative logarithmic likelihood.
 
+    Of both, samples tell at which the recording does not rest (`Run.rests`).
+
     Every update raises the likelihood, but nears its end by a constant share: after two, each variance leaps to where that
     would end (Aitken's extrapolation), and comes back if the likelihood there is lower.
     """
-    space = noise.space(run, linear, used)
+    space = noise.space(run, linear, used & ~run.rests[:, None])
     parts = [(_stretch(space, rows, error), error[rows]) for rows in _stretches(len(error))]
     path, back, total = [noise], noise, float("inf")
     for _ in range(updates):

@@ -6,6 +6,7 @@ than some 30 000 rows; the simulation itself runs on every sample.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,6 +48,8 @@ AT_REST = 5
 # Consecutive samples with the same number that are a channel that hangs, where noise keeps others from being equal: the
 # share of equal neighbours elsewhere, and the noise as a share of the range.
 HANGS, EQUAL, NOISY = 100, 0.2, 1e-4
+# Times as long as the median, between two samples at which anything changes, that are rest and not a slow sensor.
+LONG = 10
 # The start is guessed from this many samples: their median is no outlier.
 FIRST = 3
 # The ambient temperature is averaged over this long.
@@ -133,6 +136,18 @@ class Run:
         """Whether anything that was measured changes: what stands still, whatever it shows, tells nothing."""
         told = [y[there] for y, there in zip(self.measured.T, self.there.T, strict=True)]
         return any(len(y) > 0 and bool(np.ptp(y) > 0) for y in told)
+
+    @cached_property
+    def rests(self) -> NDArray[np.bool_]:
+        """(N,) samples amid many at which nothing that was recorded changes: they tell nothing of the noise.
+
+        An encoder of a motor that stands counts nothing, however noisy it is when the motor turns.
+        """
+        told = np.column_stack([self.measured, self.inputs.voltage_V, self.inputs.load_torque_Nm])
+        changes = np.flatnonzero(np.any(np.diff(told, axis=0) != 0, axis=1))
+        edges = np.concatenate([[0], changes + 1, [len(told)]])
+        lasting = np.diff(edges)
+        return np.repeat(lasting > LONG * np.median(lasting), lasting)
 
     @property
     def coarse(self) -> bool:

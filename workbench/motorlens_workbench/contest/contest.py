@@ -13,7 +13,7 @@ import numpy as np
 
 from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
-from motorlens_workbench.contest.entering import enter, enter_anew
+from motorlens_workbench.contest.entering import enter, enter_anew, heaviest
 from motorlens_workbench.contest.needed import beyond_chance, follows, needed_weight, promising
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import consistent, held_score
@@ -39,6 +39,7 @@ class Outcome:
         unnamed: the term without a name that is beyond chance, and that no name explains; None if none is.
         refused: names that the screen points at, but that do not hold when fitted.
         judged: the heaviest that every name fitted in full was, in multiples of the weight that is needed.
+        attempts: the model with each of these that did not hold.
     """
 
     first: Standing
@@ -48,6 +49,7 @@ class Outcome:
     unnamed: Score | None
     refused: tuple[str, ...]
     judged: Mapping[str, float]
+    attempts: Mapping[str, Fitted]
 
 
 def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lambda text: None) -> Outcome:
@@ -59,12 +61,13 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     say("weighing every effect, sensor fault and free term")
     first = here = stand(base, own)
     if not any(run.moves for run in base.runs):
-        return Outcome(first, first, (), (), None, (), {})
+        return Outcome(first, first, (), (), None, (), {}, {})
     accepted: list[Accepted] = []
     refused: list[str] = []
     estimated: list[str] = []
     pointed: dict[str, None] = {}
-    judged: dict[str, float] = {}
+    judged: Mapping[str, float] = {}
+    attempts: Mapping[str, Fitted] = {}
     nameless: tuple[Standing, list[Accepted]] | None = None
     entered = 0
     # What entered may leave again beside what came later: it must not go on for ever.
@@ -83,7 +86,7 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
             step = enter_anew(here, here.rest.entry.hypothesis.equation, estimated, own, say)
         refused += step.refused
         estimated += step.estimated
-        judged |= {name: max(times, judged.get(name, 0.0)) for name, times in step.judged.items()}
+        judged, attempts = heaviest((judged, attempts), (step.judged, step.attempts))
         if step.standing is not None:
             here, refused, estimated, entered = step.standing, [], [], entered + 1
             if step.accepted is not None:
@@ -97,7 +100,7 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
     rivals = tuple(rivals_of(here, one) for one in accepted)
     disproved = tuple(name for name in dict.fromkeys(refused) if name in pointed)
-    return Outcome(first, here, tuple(accepted), rivals, unnamed, disproved, judged)
+    return Outcome(first, here, tuple(accepted), rivals, unnamed, disproved, judged, attempts)
 
 
 def _imitate(nameless: Standing, here: Standing) -> bool:

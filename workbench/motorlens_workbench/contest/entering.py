@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import gained
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
@@ -39,6 +40,7 @@ class Step:
         refused: names that do not hold once fitted.
         estimated: names with which the motor was estimated from the beginning.
         judged: how heavy each name fitted in full is, in multiples of the weight that is needed.
+        attempts: the model with each of these names that does not hold.
         unlikely: of what the model with the name leaves, see `unlikely_from`.
     """
 
@@ -47,18 +49,31 @@ class Step:
     refused: tuple[str, ...] = ()
     estimated: tuple[str, ...] = ()
     judged: Mapping[str, float] = field(default_factory=dict)
+    attempts: Mapping[str, Fitted] = field(default_factory=dict)
     unlikely: float = float("inf")
 
     def then(self, other: "Step") -> "Step":
         """What has been found after another attempt: the likelier of both."""
-        judged = {**self.judged, **{n: max(t, self.judged.get(n, 0.0)) for n, t in other.judged.items()}}
+        judged, attempts = heaviest((self.judged, self.attempts), (other.judged, other.attempts))
         best = other if other.unlikely < self.unlikely else self
         return replace(
             best,
             refused=(*self.refused, *other.refused),
             estimated=(*self.estimated, *other.estimated),
             judged=judged,
+            attempts=attempts,
         )
+
+
+Judged = tuple[Mapping[str, float], Mapping[str, Fitted]]
+
+
+def heaviest(one: Judged, other: Judged) -> Judged:
+    """Of names judged twice, how heavy they were at most, and the attempts of then."""
+    (before, attempts), (after, again) = one, other
+    better = {name: fitted for name, fitted in again.items() if after[name] >= before.get(name, 0.0)}
+    judged = {**before, **{name: max(times, before.get(name, 0.0)) for name, times in after.items()}}
+    return judged, {**attempts, **better}
 
 
 def enter(
@@ -82,7 +97,7 @@ def enter(
     tried = [one for one in named[:REFITTED] if one in challengers or posterior(one, one.gain, scatter) > 0]
     if not strongest.named:
         # An effect may be too far from linear to be seen whole: those of the equation are fitted before it goes unnamed.
-        equations = _beside(strongest.score.entry.hypothesis.equation)
+        equations = _beside(strongest.score.entry.hypothesis.equation, here.fitted.runs)
         near = [one for one in named if one.score.entry.hypothesis.equation in equations]
         tried += [one for one in near[:REFITTED] if one not in tried]
     tried += [one for one in promised[:REFITTED] if one not in tried]
@@ -125,7 +140,7 @@ def enter_anew(
     First as far as pieces of long recordings tell, and to the end with those that explain most there; not with those with
     which it has been `estimated` before.
     """
-    equations = _about(equation)
+    equations = _about(equation, here.fitted.runs)
     named: dict[str, Score] = {}
     for score in sorted(here.scores, key=lambda score: score.gain):
         hypothesis = score.entry.hypothesis
@@ -202,7 +217,7 @@ def _judged(here: Standing, one: Score, starts: Sequence[Fitted], own: Sequence[
         if score is None or told.times < 1.0:
             kept = here.unlikely - unlikely_from(here, told.lacking)
             if -log_chance(max(kept, 0.0), 1) < told.needed:
-                return Step(refused=(one.name,), judged=judged)
+                return Step(refused=(one.name,), judged=judged, attempts={one.name: end})
             # Without the name the model fits beyond chance better than where it had ended: it goes on from there.
             return Step(stand(told.lacking, own), judged=judged, unlikely=here.unlikely - kept)
         then, unlikely = stand(end, own), unlikely_from(here, end)
@@ -219,19 +234,20 @@ def _judged(here: Standing, one: Score, starts: Sequence[Fitted], own: Sequence[
     return Step(then, entered, judged=judged, unlikely=unlikely)
 
 
-def _about(equation: str) -> tuple[str, ...]:
+def _about(equation: str, runs: Sequence[Run]) -> tuple[str, ...]:
     """What may stand in the place of something in an equation, or in a channel: equations, and the channels of sensors."""
     channels = {
         "electrical": ("voltage", "current"),
         "mechanical": ("speed", "load_torque"),
         "thermal": ("temperature",),
     }
-    beside = _beside(next((one for one, its in channels.items() if equation in its), equation))
+    beside = _beside(next((one for one, its in channels.items() if equation in its), equation), runs)
     return (*beside, *(channel for one in beside for channel in channels.get(one, ())))
 
 
-def _beside(equation: str) -> tuple[str, ...]:
-    return {
-        "electrical": ("electrical", "coupling"), "mechanical": ("mechanical", "coupling"),
-        "coupling": ("coupling", "electrical", "mechanical"),
-    }.get(equation, (equation,))  # fmt: skip
+def _beside(equation: str, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Equations that may be meant by one: only where current and speed are both measured is a voltage told from a torque."""
+    told = all({"current", "speed"} <= set(run.channels) for run in runs)
+    if equation == "coupling" or not (told or equation == "thermal"):
+        return ("coupling", "electrical", "mechanical")
+    return (equation, "coupling") if equation in ("electrical", "mechanical") else (equation,)

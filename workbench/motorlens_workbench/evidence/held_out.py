@@ -50,6 +50,20 @@ def held_out(book: Ledger, lines: Sequence[Line]) -> dict[str, float]:
     return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
 
 
+def fitted_errors(model: Model, runs: Sequence[Run]) -> dict[str, float]:
+    """RMSE of each channel over runs, the model simulated freely along the inputs as measured.
+
+    Raises:
+        ModelError: it cannot be simulated.
+    """
+    squares: dict[str, list[Array]] = {}
+    for r, run in enumerate(runs):
+        error = run.measured - predict(model, replace(run, corrections=None), r)[1]
+        for c, channel in enumerate(run.channels):
+            squares.setdefault(channel, []).append(error[run.there[:, c], c] ** 2)
+    return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
+
+
 def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
     """The floor of each channel over runs from an estimate, see `free_run.floor_of`."""
     squares: dict[str, list[tuple[float, int]]] = {}
