@@ -102,3 +102,37 @@ def test_a_run_whose_channels_were_moved_remembers_what_was_recorded():
     np.testing.assert_array_equal(again.inputs.voltage_V, run.inputs.voltage_V)
     np.testing.assert_array_equal(again.there, run.there)
     assert not again.late
+
+
+def turning(rest_s: float, *, held: int = 1) -> Recording:
+    """An encoder of 0.5 rad/s noise that shows each reading `held` times, behind a rest with the supply off."""
+    rng = np.random.default_rng(3)
+    moving = np.arange(4000)
+    voltage = 60.0 + 30.0 * np.sign(np.sin(moving / 150))
+    w, speed = 0.0, np.zeros(len(moving))
+    for k, v in enumerate(voltage):
+        speed[k] = w
+        w += 1e-3 * (0.93 * (v - 0.93 * w) / 3.5 - 0.0018 * w) / 0.032
+    speed = np.repeat((speed + 0.5 * rng.standard_normal(len(speed)))[::held], held)
+    rest = np.zeros(round(rest_s * 1000))
+    return Recording(
+        "encoder",
+        np.arange(len(rest) + len(moving)) / 1000,
+        {"voltage": np.concatenate([rest, voltage]), "speed": np.concatenate([rest, speed])},
+    )
+
+
+@pytest.mark.parametrize("held", [1, 20])
+def test_a_rest_is_where_nothing_changes_and_a_slow_sensor_is_none(held: int):
+    run = prepare(turning(3.0, held=held), read_motor_file(MOTOR))
+    assert run.rests[:2990].all()
+    assert not run.rests[3010:].any()
+    assert not prepare(turning(0.0, held=held), read_motor_file(MOTOR)).rests.any()
+
+
+def test_a_rest_does_not_make_the_noise_smaller():
+    file = read_motor_file(MOTOR)
+    found = [estimate(file, [prepare(turning(rest), file)]).runs[0].noise for rest in (0.0, 4.0)]
+    alone, beside = (float(np.sqrt(noise.channels[0])) for noise in found)
+    assert 0.4 < alone < 0.6
+    assert beside == pytest.approx(alone, rel=0.1)
