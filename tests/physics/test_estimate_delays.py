@@ -5,11 +5,14 @@ import pytest
 from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 
-from motorlens_physics.estimate.delays import delays_of, gains_of_lags
+from motorlens_physics.estimate import delays
+from motorlens_physics.estimate.delays import delays_of, gains_of_lags, likeliest_lag
 from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.noise import Noise
+from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import prepare_all
-from motorlens_physics.estimate.weighed import Errors, Frame, needed
+from motorlens_physics.estimate.weighed import Errors, Frame, begun, needed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
@@ -113,3 +116,23 @@ def test_what_a_delay_must_win_is_the_level_of_the_best_of_all_that_were_tried()
     assert needed(1) == pytest.approx(6.635, abs=1e-3)
     most = np.max(np.random.default_rng(1).standard_normal((4000, 1000)) ** 2, axis=1)
     assert 0.005 < np.mean(most > needed(1000)) < 0.015
+
+
+@pytest.mark.parametrize(("at_one", "late"), [(3000.0, 191), (500.0, 191), (0.0, 191)])
+def test_what_is_gained_beside_a_larger_gain_is_of_the_same_delay(
+    monkeypatch: pytest.MonkeyPatch, at_one: float, late: int
+) -> None:
+    """A reading held for some samples gains by a sample, and nearly as much by two: that hides no delay of 191."""
+    volts = np.repeat([0.0, RATED["voltage"]], SAMPLES // 2)
+    channels = {"voltage": volts, "speed": np.cumsum(volts) / SAMPLES}
+    runs = prepare_all([Recording("held.csv", np.arange(SAMPLES) * PERIOD_S, channels)], FILE)
+    prior = base_prior(FILE, runs)
+
+    def gains(part: Errors, c: int, most: int, columns: np.ndarray, width: np.ndarray) -> np.ndarray:
+        lags = np.arange(-most, most + 1)
+        # So much that what no noise explains does not hide it.
+        return 1e9 * np.maximum(at_one * np.exp(-np.abs(lags - 1) / 10), 760.0 - 3.0 * np.abs(lags - late))
+
+    monkeypatch.setattr(delays, "gains_of_lags", gains)
+    found = likeliest_lag(begun(start_model(FILE, runs), runs, prior), prior)
+    assert found is not None and found.samples == late

@@ -67,7 +67,9 @@ def likeliest_lag(point: Weighed, prior: Prior) -> Lag | None:
         for c, channel in enumerate(part.run.channels):
             if channel != "temperature":
                 gains = gains_of_lags(part, c, most, part.columns[:, :, free], width)
-                gains[np.abs(lags) <= 1] = 0.0
+                # A gain beside a larger one is of the same delay, be that one sample or less.
+                peak = np.r_[False, (gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]), False]
+                gains = np.where(peak & (np.abs(lags) > 1), gains, 0.0)
                 k = int(np.argmax(gains))
                 lag = Lag(r, channel, int(lags[k]), float(gains[k]) / inflation, tried)
                 if lag.gain > max(needed(tried), best.gain if best else 0.0):
