@@ -14,6 +14,7 @@ import urllib.request
 
 import numpy as np
 import pytest
+from helpers.ports import free_place
 from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually
 from helpers.sensor_files import write_sensor
 from helpers.wire_device import WireDevice
@@ -429,10 +430,8 @@ def test_attached_to_shared_memory_every_row_comes(tmp_path):
 
 
 def test_attached_to_prometheus_it_has_the_newest_row_alarms_and_counts():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    publisher = open_publisher(f"prometheus://127.0.0.1:{port}", HEADER)
+    place = free_place()
+    publisher = open_publisher(f"prometheus://{place}", HEADER)
     given = rows([1.0, 2.0], int(Quality.BRIDGED))
     given.values[1, 0] = math.nan
     publisher.publish(given)
@@ -446,7 +445,7 @@ def test_attached_to_prometheus_it_has_the_newest_row_alarms_and_counts():
             "time_to_limit_s": {"a": 12.5, "b": None},
         }
     )
-    there = attach(f"http://127.0.0.1:{port}")
+    there = attach(f"http://{place}")
     assert there.header.sensor == "bench" and len(there.header.outputs) == 3
     news = there.read(0.0)
     assert news.rows.time_ns.tolist() == [2 * 10**9] and news.rows.quality.tolist() == [int(Quality.BRIDGED)]
@@ -464,20 +463,19 @@ def test_attached_to_prometheus_it_has_the_newest_row_alarms_and_counts():
 
 
 def test_attached_to_datagrams_rows_and_events_come_and_rubbish_does_not():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    place = free_place(socket.SOCK_DGRAM)
     given, stop = rows([1.0, 2.0, 3.0], int(Quality.STUCK)), threading.Event()
-    publisher = open_publisher(f"udp://127.0.0.1:{port}", HEADER)
+    publisher = open_publisher(f"udp://{place}", HEADER)
     thread = threading.Thread(target=publish_until, args=(publisher, stop, lambda: given))
     thread.start()
-    there = attach(f"udp://127.0.0.1:{port}")
+    there = attach(f"udp://{place}")
     stop.set()
     thread.join()
     eventually(lambda: there.read(0.01).rows is None)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        host, _, port = place.partition(":")
         for rubbish in RUBBISH:
-            out.sendto(rubbish, ("127.0.0.1", port))
+            out.sendto(rubbish, (host, int(port)))
     publisher.publish(given)
     publisher.event(ALARM)
     time.sleep(0.1)

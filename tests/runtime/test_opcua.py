@@ -2,11 +2,11 @@
 
 import asyncio
 import math
-import socket
 import warnings
 
 import numpy as np
 import pytest
+from helpers.ports import free_place
 from helpers.processes import LIMIT_S, eventually
 
 from motorlens_runtime.errors import DataError, DeviceError
@@ -30,15 +30,9 @@ def estimates(speed, temperature, quality=0, n=1):
     return Estimates(np.arange(n) * 1000, values, values / 16, np.full(n, quality, dtype=np.uint32))
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
 def publisher():
-    publisher = open_publisher(f"opcua://127.0.0.1:{free_port()}?device=press-7&rate=10", HEADER)
+    publisher = open_publisher(f"opcua://{free_place()}?device=press-7&rate=10", HEADER)
     yield publisher
     publisher.close()
 
@@ -119,8 +113,8 @@ def test_rows_that_come_faster_than_they_are_written_are_counted(publisher):
 
 @pytest.mark.fit
 def test_a_port_that_is_taken_and_options_that_are_not_known(publisher):
-    port = publisher.endpoint.rpartition(":")[2].partition("/")[0]
+    place = publisher.endpoint.removeprefix("opc.tcp://").partition("/")[0]
     with pytest.raises(DeviceError, match="cannot listen there"):
-        open_publisher(f"opcua://127.0.0.1:{port}", HEADER)
+        open_publisher(f"opcua://{place}", HEADER)
     with pytest.raises(DataError, match="no option 'devise'; did you mean 'device'"):
         open_publisher("opcua://127.0.0.1:1?devise=x", HEADER)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.ports import free_place
 from helpers.processes import LIMIT_S, Program, eventually
 
 from motorlens_runtime.errors import DataError, DeviceError
@@ -23,6 +24,7 @@ from motorlens_runtime.estimate.estimator import Estimates
 from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.files.shared_memory import Reader, Writer
 from motorlens_runtime.publish import Header, open_publisher
+from motorlens_runtime.publish.prometheus import PrometheusPublisher
 from motorlens_runtime.sensor.specification import Output
 from motorlens_runtime.service.outlet import Outlet
 
@@ -46,12 +48,6 @@ def estimates(first=1, n=3, quality=0):
     return Estimates(
         (number * 1e9).astype(np.int64), values, values / 16, np.full(n, quality, dtype=np.uint32)
     )
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def listening_addresses():
@@ -79,7 +75,7 @@ def listening_addresses():
 def test_udp_sends_what_plotjuggler_reads():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
-        listener.settimeout(5.0)
+        listener.settimeout(LIMIT_S)
         publisher = open_publisher(f"udp://127.0.0.1:{listener.getsockname()[1]}?rate=10", HEADER)
         publisher.publish(estimates(quality=Quality.STALE))
         publisher.event(EVENT)
@@ -92,7 +88,7 @@ def test_udp_sends_what_plotjuggler_reads():
 
 
 def test_udp_without_a_listener_and_with_a_deaf_one_neither_waits_nor_raises():
-    absent = open_publisher(f"udp://127.0.0.1:{free_port()}", HEADER)
+    absent = open_publisher(f"udp://{free_place(socket.SOCK_DGRAM)}", HEADER)
     absent.publish(estimates(n=100))
     absent.close()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
@@ -117,7 +113,7 @@ def fetch(address, path):
 
 @pytest.fixture
 def prometheus():
-    publisher = open_publisher(f"prometheus://127.0.0.1:{free_port()}?stale=3600", HEADER)
+    publisher = PrometheusPublisher(("127.0.0.1", 0), HEADER, stale_s=3600.0)
     yield publisher
     publisher.close()
 
@@ -190,8 +186,6 @@ def test_prometheus_counts_what_the_service_counts(prometheus):
 
 
 def test_health_says_stale_when_rows_stop():
-    from motorlens_runtime.publish.prometheus import PrometheusPublisher
-
     now = [100.0]
     publisher = PrometheusPublisher(("127.0.0.1", 0), HEADER, stale_s=5.0, clock=lambda: now[0])
     publisher.publish(estimates())
@@ -221,9 +215,10 @@ needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="no mosquitto here (
 
 class Broker:
     def __init__(self, folder):
-        self.port = free_port()
+        self.place = free_place()
+        host, _, port = self.place.partition(":")
         self._config = folder / "mosquitto.conf"
-        self._config.write_text(f"listener {self.port} 127.0.0.1\nallow_anonymous true\npersistence false\n")
+        self._config.write_text(f"listener {port} {host}\nallow_anonymous true\npersistence false\n")
         self.process = None
 
     def start(self):
@@ -234,7 +229,7 @@ class Broker:
 
     def _answers(self):
         try:
-            socket.create_connection(("127.0.0.1", self.port), timeout=LIMIT_S).close()
+            socket.create_connection(self.place.split(":"), timeout=LIMIT_S).close()
         except OSError:
             return False
         return True
@@ -249,7 +244,7 @@ class Broker:
 class Listener:
     """A client of another make than ours would be better; this one at least shares nothing but paho."""
 
-    def __init__(self, port):
+    def __init__(self, place):
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
 
@@ -257,7 +252,8 @@ class Listener:
         self.client = Client(CallbackAPIVersion.VERSION2)
         self.client.on_message = self._take
         self.client.on_connect = lambda client, *_: client.subscribe("#", qos=1)
-        self.client.connect("127.0.0.1", port)
+        host, _, port = place.partition(":")
+        self.client.connect(host, int(port))
         self.client.loop_start()
 
     def _take(self, client, data, message):
@@ -283,8 +279,8 @@ def broker(tmp_path):
 
 @needs_broker
 def test_mqtt_announces_a_homie_device_and_keeps_its_values(broker):
-    listener = Listener(broker.port)
-    publisher = open_publisher(f"mqtt://127.0.0.1:{broker.port}?device=Press%207&rate=10", HEADER)
+    listener = Listener(broker.place)
+    publisher = open_publisher(f"mqtt://{broker.place}?device=Press%207&rate=10", HEADER)
     base = "homie/5/press-7"
     eventually(lambda: listener.retained.get(f"{base}/$state") == "ready")
     assert listener.of(f"{base}/$state") == ["init", "ready"]
@@ -308,7 +304,7 @@ def test_mqtt_announces_a_homie_device_and_keeps_its_values(broker):
     # An alarm stands for as long as it is on; whoever comes later sees it too.
     publisher.event(EVENT)
     eventually(lambda: f"{base}/$alert/too-hot" in listener.retained)
-    late = Listener(broker.port)
+    late = Listener(broker.place)
     eventually(lambda: late.retained.get(f"{base}/$alert/too-hot") == EVENT["message"])
     publisher.event({**EVENT, "active": False})
     eventually(lambda: late.retained[f"{base}/$alert/too-hot"] == "")
@@ -325,12 +321,12 @@ def test_mqtt_last_will_says_lost_when_the_process_is_killed(broker):
         import sys, time
         sys.path[:0] = {[str(folder) for folder in list(Path(__file__).parents)[:2]]!r}
         import test_publishers as t
-        publisher = t.open_publisher("mqtt://127.0.0.1:{broker.port}?device=m", t.HEADER)
+        publisher = t.open_publisher("mqtt://{broker.place}?device=m", t.HEADER)
         while True:
             publisher.publish(t.estimates())
             time.sleep(0.05)
     """
-    listener = Listener(broker.port)
+    listener = Listener(broker.place)
     with Program([sys.executable, "-c", textwrap.dedent(script)]) as program:
         eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready", "ready", program)
     eventually(lambda: listener.retained["homie/5/m/$state"] == "lost")
@@ -340,12 +336,12 @@ def test_mqtt_last_will_says_lost_when_the_process_is_killed(broker):
 @needs_broker
 def test_mqtt_without_a_broker_drops_and_counts_and_comes_back(broker):
     broker.stop()
-    publisher = open_publisher(f"mqtt://127.0.0.1:{broker.port}?device=m", HEADER)
+    publisher = open_publisher(f"mqtt://{broker.place}?device=m", HEADER)
     publisher.publish(estimates())
     publisher.event(EVENT)
     assert publisher.dropped == 12  # 3 rows, 6 values, 2 words of quality, 1 event
     broker.start()
-    listener = Listener(broker.port)
+    listener = Listener(broker.place)
     eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready")
     # The alarm that was raised while nobody listened is told now.
     eventually(lambda: listener.retained.get("homie/5/m/$alert/too-hot") == EVENT["message"])
@@ -359,7 +355,7 @@ def test_mqtt_without_a_broker_drops_and_counts_and_comes_back(broker):
 def test_mqtt_with_a_broker_that_stops_reading_holds_bounded_memory(broker):
     from motorlens_runtime.publish import mqtt
 
-    publisher = open_publisher(f"mqtt://127.0.0.1:{broker.port}?device=m", HEADER)
+    publisher = open_publisher(f"mqtt://{broker.place}?device=m", HEADER)
     eventually(lambda: publisher._ready)
     broker.process.send_signal(signal.SIGSTOP)
     try:

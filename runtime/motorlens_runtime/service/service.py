@@ -221,10 +221,9 @@ class Service:
             return False
         duration_ns = self._settings.duration_s * 1e9
         last_ns = None if self._estimator is None else self._estimator.last_ns
-        if last_ns is None or self._first_ns is None or self._period_s is None:
-            return self._clock() - self._started_ns >= duration_ns
-        if last_ns - self._first_ns + self._period_s * 1e9 >= duration_ns:
-            return True
+        if last_ns is not None and self._first_ns is not None and self._period_s is not None:
+            if last_ns - self._first_ns + self._period_s * 1e9 >= duration_ns:
+                return True
         return self._clock() - self._started_ns >= duration_ns + _GRACE_NS
 
     def _hand_out(self, estimates: Estimates, inputs: NDArray[np.float64] | None = None) -> None:
