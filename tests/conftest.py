@@ -13,6 +13,7 @@ import psutil
 import pytest
 from helpers.machine_code import share
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 # The workers of pytest-xdist share out the cores; libraries that start a thread a core would fight over them, and sums in
 # parallel come out in another order. Set before anything imports them, and inherited by the programs that tests start.
@@ -42,6 +43,11 @@ _by_file: dict[str, tuple[float, float]] = {}
 settings.register_profile("suite", derandomize=True, deadline=None)
 settings.register_profile("search", deadline=None)
 settings.load_profile("suite")
+# Hypothesis also draws constants of our modules that happen to be imported: examples would depend on the tests before.
+_of_modules = providers._get_local_constants
+providers._get_local_constants = lambda: (
+    providers.Constants() if settings.default.derandomize else _of_modules()
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:

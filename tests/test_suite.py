@@ -1,12 +1,15 @@
 """The tests themselves: no wait without an end, no program that nobody ends, every test in a tier that is known."""
 
 import ast
+import importlib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
 from helpers.processes import LIMIT_S
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 HERE = Path(__file__).resolve().parent
 FILES = sorted(path for path in HERE.rglob("*.py") if "hidden" not in path.parts)
@@ -56,6 +59,26 @@ def test_no_limit_judges_the_speed_of_the_machine(path: Path) -> None:
             if keyword.arg == "timeout" and isinstance(keyword.value, ast.Constant):
                 limit = keyword.value.value
                 assert limit is None or limit >= LIMIT_S, f"{path.name}:{call.lineno}: {name}, {limit} s"
+
+
+def test_examples_are_the_same_whatever_was_imported_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[int] = []
+
+    @settings(derandomize=True)
+    @given(st.integers())
+    def draw(number: int) -> None:
+        drawn.append(number)
+
+    draw()
+    first = drawn.copy()
+    drawn.clear()
+    (tmp_path / "full_of_constants.py").write_text(f"NUMBERS = {list(range(10**9, 10**9 + 500))}")
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.import_module("full_of_constants")
+    draw()
+    assert len(first) > 50 and drawn == first
 
 
 def _is_sleep(statement: ast.stmt) -> bool:

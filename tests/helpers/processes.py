@@ -19,9 +19,7 @@ MOTORLENS = (sys.executable, "-m", "motorlens_runtime")
 LIMIT_S = 300.0
 
 
-def eventually(
-    condition: Callable[[], T], what: str = "the condition", *programs: "Program", seconds: float = LIMIT_S
-) -> T:
+def eventually(condition: Callable[[], T], what: str, *programs: "Program", seconds: float = LIMIT_S) -> T:
     """What `condition` returns once that is true.
 
     Raises:

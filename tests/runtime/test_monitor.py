@@ -423,7 +423,7 @@ def test_attached_to_shared_memory_every_row_comes(tmp_path):
     assert there.read(0.0).rows is None
     again = open_publisher(f"shm:{path}", HEADER)
     again.publish(rows([0.0]))
-    found = eventually(lambda: there.read(0.0).rows)
+    found = eventually(lambda: there.read(0.0).rows, "a row of the new ring")
     assert found.time_ns.tolist() == [0]
     there.close()
     again.close()
@@ -471,7 +471,7 @@ def test_attached_to_datagrams_rows_and_events_come_and_rubbish_does_not():
     there = attach(f"udp://{place}")
     stop.set()
     thread.join()
-    eventually(lambda: there.read(0.01).rows is None)
+    eventually(lambda: there.read(0.01).rows is None, "the last row")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         host, _, port = place.partition(":")
         for rubbish in RUBBISH:

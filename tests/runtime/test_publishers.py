@@ -225,7 +225,7 @@ class Broker:
         self.process = subprocess.Popen(
             [MOSQUITTO, "-c", str(self._config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        eventually(self._answers)
+        eventually(self._answers, "the broker's answer")
 
     def _answers(self):
         try:
@@ -263,6 +263,9 @@ class Listener:
     def of(self, topic):
         return [payload for name, payload in list(self.seen) if name == topic]
 
+    def until(self, topic, value, *programs):
+        eventually(lambda: self.retained.get(topic) == value, f"{topic} to be {value!r}", *programs)
+
     def close(self):
         self.client.disconnect()
         self.client.loop_stop()
@@ -282,7 +285,7 @@ def test_mqtt_announces_a_homie_device_and_keeps_its_values(broker):
     listener = Listener(broker.place)
     publisher = open_publisher(f"mqtt://{broker.place}?device=Press%207&rate=10", HEADER)
     base = "homie/5/press-7"
-    eventually(lambda: listener.retained.get(f"{base}/$state") == "ready")
+    listener.until(f"{base}/$state", "ready")
     assert listener.of(f"{base}/$state") == ["init", "ready"]
     document = json.loads(listener.retained[f"{base}/$description"])
     assert document["homie"] == "5.0" and isinstance(document["version"], int)
@@ -294,7 +297,7 @@ def test_mqtt_announces_a_homie_device_and_keeps_its_values(broker):
         "settable": False,
     }
     publisher.publish(estimates(quality=Quality.STALE))
-    eventually(lambda: f"{base}/motor/quality-word" in listener.retained)
+    eventually(lambda: f"{base}/motor/quality-word" in listener.retained, "the quality word")
     values = {name: listener.retained[f"{base}/motor/{name}"] for name in properties}
     assert float(values["speed"]) == 3.0 and float(values["speed-standard-deviation"]) == 3.0 / 16
     assert values["quality"] in properties["quality"]["format"].split(",")
@@ -303,13 +306,13 @@ def test_mqtt_announces_a_homie_device_and_keeps_its_values(broker):
     assert [row["timestamp"] for row in rows] == [1.0, 2.0, 3.0]
     # An alarm stands for as long as it is on; whoever comes later sees it too.
     publisher.event(EVENT)
-    eventually(lambda: f"{base}/$alert/too-hot" in listener.retained)
+    eventually(lambda: f"{base}/$alert/too-hot" in listener.retained, "the alarm")
     late = Listener(broker.place)
-    eventually(lambda: late.retained.get(f"{base}/$alert/too-hot") == EVENT["message"])
+    late.until(f"{base}/$alert/too-hot", EVENT["message"])
     publisher.event({**EVENT, "active": False})
-    eventually(lambda: late.retained[f"{base}/$alert/too-hot"] == "")
+    late.until(f"{base}/$alert/too-hot", "")
     publisher.close()
-    eventually(lambda: late.retained[f"{base}/$state"] == "disconnected")
+    late.until(f"{base}/$state", "disconnected")
     assert publisher.dropped == 0
     late.close()
     listener.close()
@@ -328,8 +331,8 @@ def test_mqtt_last_will_says_lost_when_the_process_is_killed(broker):
     """
     listener = Listener(broker.place)
     with Program([sys.executable, "-c", textwrap.dedent(script)]) as program:
-        eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready", "ready", program)
-    eventually(lambda: listener.retained["homie/5/m/$state"] == "lost")
+        listener.until("homie/5/m/$state", "ready", program)
+    listener.until("homie/5/m/$state", "lost")
     listener.close()
 
 
@@ -342,11 +345,11 @@ def test_mqtt_without_a_broker_drops_and_counts_and_comes_back(broker):
     assert publisher.dropped == 12  # 3 rows, 6 values, 2 words of quality, 1 event
     broker.start()
     listener = Listener(broker.place)
-    eventually(lambda: listener.retained.get("homie/5/m/$state") == "ready")
+    listener.until("homie/5/m/$state", "ready")
     # The alarm that was raised while nobody listened is told now.
-    eventually(lambda: listener.retained.get("homie/5/m/$alert/too-hot") == EVENT["message"])
+    listener.until("homie/5/m/$alert/too-hot", EVENT["message"])
     publisher.publish(estimates(first=7, n=1))
-    eventually(lambda: listener.retained.get("homie/5/m/motor/speed") == "7.0")
+    listener.until("homie/5/m/motor/speed", "7.0")
     publisher.close()
     listener.close()
 
@@ -356,7 +359,7 @@ def test_mqtt_with_a_broker_that_stops_reading_holds_bounded_memory(broker):
     from motorlens_runtime.publish import mqtt
 
     publisher = open_publisher(f"mqtt://{broker.place}?device=m", HEADER)
-    eventually(lambda: publisher._ready)
+    eventually(lambda: publisher._ready, "the connection")
     broker.process.send_signal(signal.SIGSTOP)
     try:
         for k in range(300):
@@ -469,7 +472,9 @@ def test_rows_gather_for_a_file_and_all_are_written(tmp_path):
     for k in range(1000):
         outlet.put(estimates(k + 1, 1))
         time.sleep(0.0002)
-    eventually(lambda: len((tmp_path / "out.csv").read_text().splitlines()) == 1001)  # before it is closed
+    eventually(
+        lambda: len((tmp_path / "out.csv").read_text().splitlines()) == 1001, "all rows"
+    )  # before it is closed
     outlet.close()
     times = [float(line.split(",")[0]) for line in (tmp_path / "out.csv").read_text().splitlines()[1:]]
     assert times == sorted(times) and len(times) == 1000 and len(flushes) < 300
