@@ -53,17 +53,22 @@ class Linearisation:
             heat_W: added to H dtheta/dt.
             held: whether forcings hold from sample to sample (all, or each of the three); otherwise they run linearly.
         """
-        given = {0: voltage_V, 1: torque_Nm, 2: heat_W}
-        shapes = {np.shape(forcing) for forcing in given.values() if forcing is not None}
+        given = {
+            row: values for row, values in enumerate((voltage_V, torque_Nm, heat_W)) if values is not None
+        }
+        shapes = {np.shape(forcing) for forcing in given.values()}
         samples = len(self.matrices) + 1
         if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or shape[0] != samples:
             raise ModelError(f"respond: forcings must all be ({samples}, m), one for each sample")
-        forcing = np.zeros((samples, 3, shape[1]))
-        for row, values in given.items():
-            if values is not None:
-                forcing[:, row] = values
-        hold = np.array((held,) * 3 if isinstance(held, bool) else held)
-        response = _respond(self.matrices, forcing, hold)
+        # Most of what is asked enters one balance.
+        acting = [row for row, values in given.items() if np.any(values)]
+        forcing = np.empty((samples, len(acting), shape[1]))
+        for k, row in enumerate(acting):
+            forcing[:, k] = given[row]
+        hold = np.array((held,) * 3 if isinstance(held, bool) else held)[acting]
+        n = self.matrices.shape[1]
+        response = np.zeros((samples, n, shape[1]))
+        _respond(np.array(acting, dtype=np.int64), self.matrices, forcing, hold, response)
         return {name: response[:, j] for j, name in enumerate(self.states)}
 
 
@@ -242,21 +247,17 @@ def _check(motor: Motor, candidates: Sequence[Effect], parameters: list[str], st
             )
 
 
-def _respond_plain(matrices: Array, forcing: Array, hold: NDArray[np.bool_]) -> Array:
-    n, columns = matrices.shape[1], forcing.shape[2]
-    response = np.zeros((matrices.shape[0] + 1, n, columns))
-    for k in range(matrices.shape[0]):
+@njit(cache=True, nogil=True)
+def _respond(acting, matrices, forcing, hold, response):  # type: ignore[no-untyped-def]
+    n = matrices.shape[1]
+    for k in range(len(matrices)):
         for r in range(n):
             for c in range(n):
                 phi = matrices[k, r, c]
-                for j in range(columns):
+                for j in range(response.shape[2]):
                     response[k + 1, r, j] += phi * response[k, c, j]
-            for c in range(3):
-                first, last = matrices[k, r, n + c], matrices[k, r, n + 3 + c]
-                later = k if hold[c] else k + 1
-                for j in range(columns):
-                    response[k + 1, r, j] += first * forcing[k, c, j] + last * forcing[later, c, j]
-    return response
-
-
-_respond = njit(cache=True, nogil=True)(_respond_plain)
+            for b in range(len(acting)):
+                first, last = matrices[k, r, n + acting[b]], matrices[k, r, n + 3 + acting[b]]
+                later = k if hold[b] else k + 1
+                for j in range(response.shape[2]):
+                    response[k + 1, r, j] += first * forcing[k, b, j] + last * forcing[later, b, j]

@@ -19,7 +19,7 @@ from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors, pooled_floor
-from motorlens_workbench.evidence.ledger import Ledger, ledger
+from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
 from motorlens_workbench.fitted import Fitted
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.refit import settled, with_hypothesis
@@ -186,7 +186,7 @@ def _book(fitted: Fitted) -> tuple[Ledger, list[Line]]:
     for run in fitted.runs:
         assert run.noise is not None
         noises.append(run.noise)
-    return ledger(lines, noises, fitted.prior, ()), lines
+    return ledger(lines, Lens(noises), fitted.prior, ()), lines
 
 
 def _described(

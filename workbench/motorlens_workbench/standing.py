@@ -1,7 +1,8 @@
 """Where a contest stands: a fitted model, the runs about it, and what the recordings say of every hypothesis from there."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,13 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.model import error_of, predict
 from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
+from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.evidence.ledger import Beside, Ledger, ledger
-from motorlens_workbench.evidence.look import Look, look
+from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers
+from motorlens_workbench.evidence.look import Look, looks
 from motorlens_workbench.evidence.null import Null, null_of
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Challenger, Fitted
@@ -37,28 +40,42 @@ SEED = 1993
 
 @dataclass(frozen=True)
 class Standing:
-    """A fitted model and all that may be missing from it.
+    """A fitted model and all that may be missing from it, looked at when it is first asked for.
+
+    What is missing from the model must not hide in its noise. A torque that nobody measured, and colour of the sensors'
+    noise, are rivals of every hypothesis: all are looked at with them and without, and the heaviest of both looks are
+    weighed again under the noise that each of them would leave.
 
     Attributes:
         fitted: the model.
-        look: under the noise of the model.
-        null: of the largest weight; None where nothing can be tested.
-        challengers: the heaviest hypotheses, the heaviest first.
-        unlikely: twice the negative logarithmic likelihood of what the model leaves, as noise of its own.
-        plain: sums of the fitted parameters alone with the sensors' noise taken as white, as the fit took it.
+        own: effects from outside the catalogue.
+        lines: the runs about the model.
+        uncorrected: the runs about the model, along their inputs as measured.
     """
 
     fitted: Fitted
-    look: Look
-    null: Null | None
-    challengers: tuple[Challenger, ...] = ()
-    unlikely: float = float("inf")
-    plain: Ledger | None = None
+    own: tuple[type[Effect], ...]
+    lines: tuple[Line, ...]
+    uncorrected: tuple[Line, ...]
+
+    @cached_property
+    def noises(self) -> tuple[Noise, ...]:
+        """Of each run, as the fit found it."""
+        return tuple(_noise(line) for line in self.lines)
+
+    @cached_property
+    def looks(self) -> tuple[Look, Look]:
+        """Under the noise of the model, and with none of an unmeasured torque and of colour."""
+        listed, constants = everything(self.lines, self.own), _constants(self.lines)
+        quiet = tuple(without_torque(line) for line in self.lines)
+        lenses = Lens(self.noises), Lens(quiet, plain=True)
+        here, bare = looks(self.lines, lenses, self.fitted.prior, listed, constants)
+        return here, bare
 
     @property
-    def lines(self) -> tuple[Line, ...]:
-        """The runs about the model."""
-        return self.look.lines
+    def look(self) -> Look:
+        """Under the noise of the model."""
+        return self.looks[0]
 
     @property
     def book(self) -> Ledger:
@@ -70,6 +87,34 @@ class Standing:
         """Every shape of every hypothesis."""
         return self.look.scores
 
+    @cached_property
+    def plain(self) -> Ledger:
+        """Sums of the fitted parameters alone with the sensors' noise taken as white, as the fit took it."""
+        return ledger(self.lines, Lens(self.noises, plain=True), self.fitted.prior, ())
+
+    @cached_property
+    def null(self) -> Null | None:
+        """Of the largest weight; None where nothing can be tested."""
+        return null_of([score for score in self.scores if score.possible], np.random.default_rng(SEED))
+
+    @cached_property
+    def unlikely(self) -> float:
+        """Twice the negative logarithmic likelihood of what the model leaves, as noise of its own."""
+        # The parameters alone may do better than where the fit has ended.
+        nothing = ([line.error for line in self.lines], *(look.rests(None) for look in self.looks))
+        return min(unlikelihood(self.noises, self.lines, rests) for rests in nothing)
+
+    @cached_property
+    def challengers(self) -> tuple[Challenger, ...]:
+        """The heaviest hypotheses, the heaviest first."""
+        if self.null is None:
+            return ()
+        heaviest = _strongest(self.looks, self.uncorrected, self.fitted.prior, self.null.mode)
+        weighed = on_all_cores(
+            lambda one: _challenger(*one, self.noises, self.fitted.prior, self.unlikely), heaviest
+        )
+        return tuple(sorted([one for one in weighed if one is not None], key=lambda one: -one.weight))
+
     @property
     def rest(self) -> Score | None:
         """The term without a name that explains most beside its scatter; None without any."""
@@ -78,32 +123,17 @@ class Standing:
 
 
 def stand(fitted: Fitted, own: Sequence[type[Effect]] = ()) -> Standing:
-    """Look at everything from a fitted model.
-
-    What is missing from the model must not hide in its noise. A torque that nobody measured, and colour of the sensors'
-    noise, are rivals of every hypothesis: all are looked at with them and without, and the heaviest of both looks are
-    weighed again under the noise that each of them would leave.
+    """Where a fitted model stands.
 
     Raises:
         ModelError: the model cannot be simulated.
     """
-    lines = tuple(Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs))
-    listed, constants = everything(lines, own), _constants(lines)
-    noises = tuple(_noise(line) for line in lines)
-    here = look(lines, noises, fitted.prior, listed, constants)
-    null = null_of([score for score in here.scores if score.possible], np.random.default_rng(SEED))
-    if null is None:
-        return Standing(fitted, here, None)
-    plain = ledger(lines, noises, fitted.prior, (), plain=True)
-    quiet = [without_torque(line) for line in lines]
-    bare = look(lines, quiet, fitted.prior, listed, constants, plain=True)
-    heaviest = _strongest(fitted, (here, bare), null)
-    # The parameters alone may do better than where the fit has ended.
-    nothing = ([line.error for line in lines], here.rests(None), bare.rests(None))
-    unlikely = min(unlikelihood(noises, lines, rests) for rests in nothing)
-    weighed = on_all_cores(lambda one: _challenger(one[0], one[1], noises, fitted, unlikely), heaviest)
-    ranked = sorted([one for one in weighed if one is not None], key=lambda one: -one.weight)
-    return Standing(fitted, here, null, tuple(ranked), unlikely, plain)
+    plain = (replace(run, corrections=None) for run in fitted.runs)
+    return Standing(fitted, tuple(own), _lines(fitted, fitted.runs), _lines(fitted, plain))
+
+
+def _lines(fitted: Fitted, runs: Iterable[Run]) -> tuple[Line, ...]:
+    return tuple(Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(runs))
 
 
 def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
@@ -116,7 +146,7 @@ def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
     fitted = refit(here.fitted.model, here.fitted.prior, runs)
     if fitted is None:
         raise ModelError("the model cannot be fitted under this noise")
-    return fitted, ledger(here.lines, noises, here.fitted.prior, ()).beside()
+    return fitted, ledger(here.lines, Lens(noises), here.fitted.prior, ()).beside()
 
 
 def summed(fitted: Fitted) -> tuple[Ledger, Ledger]:
@@ -125,9 +155,9 @@ def summed(fitted: Fitted) -> tuple[Ledger, Ledger]:
     Raises:
         ModelError: the model cannot be simulated.
     """
-    lines = [Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs)]
+    lines = _lines(fitted, fitted.runs)
     noises = [_noise(line) for line in lines]
-    coloured, white = (ledger(lines, noises, fitted.prior, (), plain=plain) for plain in (False, True))
+    coloured, white = ledgers(lines, (Lens(noises), Lens(noises, plain=True)), fitted.prior, ())
     return coloured, white
 
 
@@ -197,16 +227,14 @@ def without_torque(line: Line) -> Noise:
     return _likeliest(pinned, line, line.error)
 
 
-def _strongest(fitted: Fitted, looks: Sequence[Look], null: Null) -> list[tuple[Look, Score]]:
+def _strongest(
+    looks: Sequence[Look], uncorrected: Sequence[Line], prior: Prior, least: float
+) -> list[tuple[Look, Score]]:
     """The heaviest hypotheses of each look, once each, of those that are not what chance does every time."""
-    uncorrected = [
-        Line.of(fitted.model, replace(line.run, corrections=None), line.r, fitted.prior.keys)
-        for line in looks[0].lines
-    ]
     strongest: dict[str, tuple[Look, Score]] = {}
     for seen in looks:
-        able = _heaviest([score for score in seen.best().values() if score.weight > null.mode], DOUBTED)
-        for score in _heaviest(seen.doubted(able, uncorrected, fitted.prior), STRONGEST):
+        able = _heaviest([score for score in seen.best().values() if score.weight > least], DOUBTED)
+        for score in _heaviest(seen.doubted(able, uncorrected, prior), STRONGEST):
             if score.name not in strongest or score.weight > strongest[score.name][1].weight:
                 strongest[score.name] = (seen, score)
     return list(strongest.values())
@@ -220,7 +248,7 @@ def _heaviest(scores: Sequence[Score], count: int) -> list[Score]:
 
 
 def _challenger(
-    seen: Look, score: Score, noises: Sequence[Noise], fitted: Fitted, unlikely: float
+    seen: Look, score: Score, noises: Sequence[Noise], prior: Prior, unlikely: float
 ) -> Challenger | None:
     """A hypothesis of a look under the noise that its best size leaves; None where that leaves nothing of it."""
     rests = seen.rests(score)
@@ -228,7 +256,7 @@ def _challenger(
         _likeliest(noise, line, rest) for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
     ]
     likely = [_torque_of(noise, other) for noise, other in zip(noises, found, strict=True)]
-    book, (entry,) = seen.entries([score], seen.lines, likely, fitted.prior, rests)
+    book, (entry,) = seen.entries([score], seen.lines, Lens(likely, rests), prior)
     again = book.beside().score(entry)
     if again is None or not again.possible:
         return None

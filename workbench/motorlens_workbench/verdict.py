@@ -125,7 +125,7 @@ def _holds(found: Finding, one: Accepted) -> bool:
     Of an effect that is told only as a product of two parameters, neither has a deviation that says so.
     """
     last = found.outcome.last
-    seen = own_score(last.plain or last.book, last.fitted, one.hypothesis)
+    seen = own_score(last.plain, last.fitted, one.hypothesis)
     told = seen.gain / (seen.scatter + one.doubt) if seen else 0.0
     return max(told, one.agreed) > INTERVAL**2
 
@@ -227,7 +227,7 @@ def of_key(found: Finding, one: Accepted, key: str) -> tuple[float, float]:
     last = found.outcome.last
     keys = list(last.fitted.prior.keys)
     # The fit's covariance takes the noise as white: so does what it scatters by.
-    seen = own_score(last.plain or last.book, last.fitted, one.hypothesis)
+    seen = own_score(last.plain, last.fitted, one.hypothesis)
     scatter = (seen.scatter if seen else one.scatter) + one.doubt
     variance = float(last.fitted.covariance[keys.index(key), keys.index(key)])
     value, sd = last.fitted.model.values()[key], float(np.sqrt(max(variance, 0.0) * scatter))

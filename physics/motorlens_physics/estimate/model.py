@@ -158,10 +158,8 @@ def through_sensors(model: Model, run: Run, columns: Array) -> Array:
             if sensor.channel != channel:
                 continue
             out = out.copy() if out is columns else out
-            for j in range(out.shape[2]):
-                zero = np.zeros(len(out))
-                with_it = _record(sensor, run.inputs.time_s, out[:, k, j])
-                out[:, k, j] = with_it - _record(sensor, run.inputs.time_s, zero)
+            zero = _record(sensor, run.inputs.time_s, np.zeros(len(out)))
+            out[:, k] = _record(sensor, run.inputs.time_s, out[:, k]) - zero[:, None]
     return out
 
 
@@ -282,10 +280,14 @@ def _stack_states(run: Run, states: Mapping[str, Array]) -> Array:
 
 
 def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:
+    """What a sensor shows of samples (N,) or (N, m)."""
     # Only a lag looks at the history; its own filter is exact where the first-order form is not.
     if sensor.kind == "lag":
-        return sensor.record(time_s, y, np.random.default_rng(0))
-    return np.asarray(sensor.read(y, np.gradient(y, time_s)), dtype=np.float64)
+        shown = np.empty(y.shape)
+        for j in np.ndindex(y.shape[1:]):
+            shown[:, *j] = sensor.record(time_s, y[:, *j], np.random.default_rng(0))
+        return shown
+    return np.asarray(sensor.read(y, np.gradient(y, time_s, axis=0)), dtype=np.float64)
 
 
 def _unread(sensors: Sequence[SensorModel], channel: str, time_s: Array, y: Array) -> Array:

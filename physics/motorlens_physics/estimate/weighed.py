@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
@@ -277,7 +277,7 @@ def minimised(
 
 def needed(tried: int) -> float:
     """What `gained` must exceed for one parameter more: the level of `CHANCE` for the best of so many that were tried."""
-    return float(chi2.isf(CHANCE / tried, 1))
+    return float(chdtri(1, CHANCE / tried))
 
 
 def gained(point: Weighed, other: Weighed, prior: Prior) -> float:

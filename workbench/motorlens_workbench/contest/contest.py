@@ -115,7 +115,7 @@ def _needed(
     """Without what is no longer needed beside what entered later."""
     for one in accepted[:-1]:
         others = [other for other in accepted if other is not one]
-        score = held_score(here.book, here.plain or here.book, here.fitted, one.hypothesis)
+        score = held_score(here.book, here.plain, here.fitted, one.hypothesis)
         if score is None or here.null is None or score.weight >= needed_weight(here, others):
             continue
         fitted = without_hypothesis(here.fitted, one.hypothesis.name)

@@ -9,7 +9,7 @@ The correction for leverage of a block is that of MacKinnon and White (1985), do
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -190,97 +190,116 @@ def layout(lines: Sequence[Line]) -> tuple[tuple[int, slice], ...]:
     return tuple(blocks)
 
 
-def ledger(
-    lines: Sequence[Line],
-    noises: Sequence[Noise],
-    prior: Prior,
-    hypotheses: Sequence[Hypothesis],
-    rests: Sequence[Array] | None = None,
-    *,
-    plain: bool = False,
-) -> Ledger:
+@dataclass(frozen=True)
+class Lens:
+    """Through what errors are seen.
+
+    Attributes:
+        noises: of each run.
+        rests: (N, C) of each run, what is taken for noise; None is all of the errors.
+        plain: take the sensors' noise as white: what is missing must not hide in its colour.
+    """
+
+    noises: Sequence[Noise]
+    rests: Sequence[Array] | None = None
+    plain: bool = False
+
+    def white(self, line: Line) -> tuple[Callable[[Array], Array], float]:
+        """What makes columns (N, C, m) of a run white, and the colour that it takes out, see `Ledger`."""
+        space = self.noises[line.r].space(line.run, line.linear, line.run.there)
+        whitener, colour = white_noise(np.ones(line.error.shape[1])), 0.0
+        if not self.plain:
+            rest = line.error if self.rests is None else self.rests[line.r]
+            left = innovations(space, rest[:, :, None]).white[:, :, 0]
+            whitener = coloured(line.run, left, len(line.keys))
+            colour = gain_of(line.run, left, whitener)
+        return lambda columns: whitener(innovations(space, columns).white), colour
+
+
+def ledger(lines: Sequence[Line], lens: Lens, prior: Prior, hypotheses: Sequence[Hypothesis]) -> Ledger:
     """Filter and sum everything.
 
     Args:
         lines: the runs about one model.
-        noises: of each run.
+        lens: through what they are seen.
         prior: of the fitted parameters; a unit of a column is its standard deviation.
         hypotheses: to be tested.
-        rests: (N, C) of each run, what is taken for noise; None is all of the errors.
-        plain: take the sensors' noise as white: what is missing must not hide in its colour.
     """
+    return ledgers(lines, (lens,), prior, hypotheses)[0]
+
+
+def ledgers(
+    lines: Sequence[Line], lenses: Sequence[Lens], prior: Prior, hypotheses: Sequence[Hypothesis]
+) -> list[Ledger]:
+    """A ledger through each lens, see `ledger`: the columns, which cost most, are made once."""
     keys, blocks = prior.keys, layout(lines)
     shapes = [(hypothesis, shape) for hypothesis in hypotheses for shape in hypothesis.shapes]
     values = lines[0].model.values()
     pull = np.array([(prior.centre[key] - values[key]) / prior.sd[key] for key in keys])
 
-    def of_run(r: int) -> tuple[Array, list[tuple[Array, Array]], float]:
-        rest = lines[r].error if rests is None else rests[r]
-        return _sums(
-            lines[r],
-            noises[r],
-            None if plain else rest,
-            keys,
-            prior,
-            [rows for k, rows in blocks if k == r],
-            shapes,
-        )
+    def of_run(line: Line) -> list[_Sums]:
+        own = [rows for r, rows in blocks if r == line.r]
+        return _sums(line, lenses, keys, prior, own, [shape for _, shape in shapes])
 
-    parts = on_all_cores(of_run, range(len(lines)))
-    base = np.concatenate([part[0] for part in parts])
-    entries = tuple(
-        Entry(
-            hypothesis,
-            shape,
-            np.concatenate([part[1][j][0] for part in parts]),
-            np.concatenate([part[1][j][1] for part in parts]),
+    parts = on_all_cores(of_run, lines)
+    made = []
+    for seen in zip(*parts, strict=True):
+        entries = tuple(
+            Entry(
+                hypothesis,
+                shape,
+                np.concatenate([one.of_shapes[j][0] for one in seen]),
+                np.concatenate([one.of_shapes[j][1] for one in seen]),
+            )
+            for j, (hypothesis, shape) in enumerate(shapes)
         )
-        for j, (hypothesis, shape) in enumerate(shapes)
-    )
-    return Ledger(keys, prior.sd, base, pull, entries, blocks, sum(part[2] for part in parts))
+        base = np.concatenate([one.base for one in seen])
+        made.append(Ledger(keys, prior.sd, base, pull, entries, blocks, sum(one.colour for one in seen)))
+    return made
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Of one run through one lens: products within the base, across and within each shape, and the colour."""
+
+    base: Array
+    of_shapes: list[tuple[Array, Array]]
+    colour: float
 
 
 def _sums(
-    line: Line, noise: Noise, rest: Array | None, keys: Sequence[str], prior: Prior, blocks: Sequence[slice],
-    shapes: Sequence[tuple[Hypothesis, Shape]],
-) -> tuple[Array, list[tuple[Array, Array]], float]:  # fmt: skip
-    space = noise.space(line.run, line.linear, line.run.there)
+    line: Line, lenses: Sequence[Lens], keys: Sequence[str], prior: Prior, blocks: Sequence[slice],
+    shapes: Sequence[Shape],
+) -> list[_Sums]:  # fmt: skip
     unit = np.array([prior.sd[key] for key in line.keys])
     table = np.concatenate([line.own * unit, line.error[:, :, None]], axis=2)
-    whitener, colour = white_noise(np.ones(line.error.shape[1])), 0.0
-    if rest is not None:
-        left = innovations(space, rest[:, :, None]).white[:, :, 0]
-        whitener = coloured(line.run, left, len(line.keys))
-        colour = gain_of(line.run, left, whitener)
-    white = whitener(innovations(space, table).white)
-    wide = np.zeros((*white.shape[:2], len(keys) + 1))
-    wide[:, :, [*(list(keys).index(key) for key in line.keys), len(keys)]] = white
-    base = np.array([_products(wide[rows], wide[rows]) for rows in blocks])
-    sums: list[tuple[Array, Array]] = []
-    for chunk in _chunks([shape for _, shape in shapes]):
+    filters, made = [], []
+    for lens in lenses:
+        white, colour = lens.white(line)
+        wide = np.zeros((*table.shape[:2], len(keys) + 1))
+        wide[:, :, [*(list(keys).index(key) for key in line.keys), len(keys)]] = white(table)
+        filters.append((white, wide))
+        made.append(_Sums(np.array([_products(wide[rows], wide[rows]) for rows in blocks]), [], colour))
+    for chunk in _chunks(shapes):
         columns = np.concatenate([shape.columns(line) for shape in chunk], axis=2)
-        filtered = whitener(innovations(space, columns).white)
-        cross = np.array([_products(wide[rows], filtered[rows]) for rows in blocks])
-        inner = np.array([_products(filtered[rows], filtered[rows]) for rows in blocks])
-        first = 0
-        for shape in chunk:
-            own = slice(first, first + shape.width)
-            sums.append((cross[:, :, own], inner[:, own, own]))
-            first += shape.width
-    return base, sums, colour
+        edges = np.cumsum([0, *(shape.width for shape in chunk)])
+        own = [slice(first, last) for first, last in itertools.pairwise(edges)]
+        for (white, wide), sums in zip(filters, made, strict=True):
+            filtered = white(columns)
+            cross = np.array([_products(wide[rows], filtered[rows]) for rows in blocks])
+            inner = np.array([_products(filtered[rows], filtered[rows]) for rows in blocks])
+            sums.of_shapes.extend((cross[:, :, at], inner[:, at, at]) for at in own)
+    return made
 
 
 def common(lines: Sequence[Line], noises: Sequence[Noise], prior: Prior, shapes: Sequence[Shape]) -> Array:
     """(p + k, p + k) products of the fitted parameters' columns and those of some shapes, all runs together."""
     keys, width = list(prior.keys), sum(shape.width for shape in shapes)
     total = np.zeros((len(keys) + width, len(keys) + width))
-    for line, noise in zip(lines, noises, strict=True):
+    for line in lines:
         unit = np.array([prior.sd[key] for key in line.keys])
         columns = [line.own * unit, *(shape.columns(line) for shape in shapes)]
-        space = noise.space(line.run, line.linear, line.run.there)
-        errors = innovations(space, line.error[:, :, None]).white[:, :, 0]
-        whitener = coloured(line.run, errors, len(line.keys))
-        white = whitener(innovations(space, np.concatenate(columns, axis=2)).white)
+        white = Lens(noises).white(line)[0](np.concatenate(columns, axis=2))
         at = [*(keys.index(key) for key in line.keys), *range(len(keys), len(keys) + width)]
         total[np.ix_(at, at)] += _products(white, white)
     return total

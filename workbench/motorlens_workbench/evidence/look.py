@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import Beside, Ledger, ledger, with_entries
+from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers, with_entries
 from motorlens_workbench.evidence.score import Entry, Score
 from motorlens_workbench.hypotheses.changes import changes
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
@@ -24,16 +23,14 @@ class Look:
 
     Attributes:
         lines: the runs about the model.
-        noises: of each run.
-        plain: whether the sensors' noise is taken as white, see `ledger`.
+        lens: through what they are seen.
         book: the sums.
         beside: of all fitted parameters.
         scores: every shape of every hypothesis.
     """
 
     lines: tuple[Line, ...]
-    noises: tuple[Noise, ...]
-    plain: bool
+    lens: Lens
     book: Ledger
     beside: Beside
     scores: tuple[Score, ...]
@@ -71,7 +68,7 @@ class Look:
             uncorrected: the runs about the same model, along their inputs as measured.
             prior: of the fitted parameters.
         """
-        book, entries = self.entries(scores, uncorrected, self.noises, prior)
+        book, entries = self.entries(scores, uncorrected, self.lens, prior)
         beside, doubted = book.beside(), []
         for score, entry in zip(scores, entries, strict=True):
             there, here = beside.projected(entry)[0], self.beside.projected(score.entry)[0]
@@ -84,48 +81,45 @@ class Look:
         self,
         scores: Sequence[Score],
         lines: Sequence[Line],
-        noises: Sequence[Noise],
+        lens: Lens,
         prior: Prior,
-        rests: Sequence[Array] | None = None,
     ) -> tuple[Ledger, list[Entry]]:
-        """A ledger of other lines about the same model, or under other noise, and the entries of the shapes of some scores.
+        """A ledger of other lines, or through another lens, of the shapes of some scores alone, and their entries.
 
         Args:
             scores: of this look.
             lines: the runs.
-            noises: of each run.
+            lens: through what they are seen.
             prior: of the fitted parameters.
-            rests: what is taken for noise, see `ledger`.
         """
         alone = [replace(score.entry.hypothesis, shapes=(score.entry.shape,)) for score in scores]
-        book = ledger(lines, noises, prior, alone, rests, plain=self.plain and rests is None)
+        book = ledger(lines, lens, prior, alone)
         return book, list(book.entries)
 
 
-def look(
+def looks(
     lines: Sequence[Line],
-    noises: Sequence[Noise],
+    lenses: Sequence[Lens],
     prior: Prior,
     listed: Sequence[Hypothesis],
     constants: Mapping[str, str],
-    *,
-    plain: bool = False,
-) -> Look:
-    """Look at every hypothesis.
+) -> list[Look]:
+    """Look at every hypothesis, through each lens.
 
     Args:
         lines: the runs about the model.
-        noises: of each run.
+        lenses: through what they are seen.
         prior: of the fitted parameters.
         listed: the hypotheses; those of a change at once are added.
         constants: parameters that cannot have changed at once unless something is missing, and the equation of each.
-        plain: see `ledger`.
     """
-    book = ledger(lines, noises, prior, listed, plain=plain)
-    book = with_entries(book, changes(book, lines, constants))
-    beside = book.beside()
-    scores = tuple(score for entry in book.entries if (score := beside.score(entry)) is not None)
-    return Look(tuple(lines), tuple(noises), plain, book, beside, scores)
+    made = []
+    for lens, book in zip(lenses, ledgers(lines, lenses, prior, listed), strict=True):
+        book = with_entries(book, changes(book, lines, constants))
+        beside = book.beside()
+        scores = tuple(score for entry in book.entries if (score := beside.score(entry)) is not None)
+        made.append(Look(tuple(lines), lens, book, beside, scores))
+    return made
 
 
 def best_of(scores: Sequence[Score]) -> dict[str, Score]:

@@ -47,10 +47,14 @@ def null_of(scores: Sequence[Score], rng: np.random.Generator) -> Null | None:
     if not scores:
         return None
     signs = rng.choice([-1.0, 1.0], (FLIPS, len(scores[0].rests)))
-    best = np.zeros(FLIPS)
+    # Of shapes as wide, the largest weight is that of the largest statistic.
+    largest: dict[int, Array] = {}
     for score in scores:
         flipped = signs @ score.rests
-        statistic = np.einsum("ij,jk,ik->i", flipped, score.inverse, flipped) / score.scatter
-        best = np.maximum(best, -np.log(chdtrc(score.width, np.minimum(statistic, 1300.0))))
+        statistic = np.sum((flipped @ score.inverse) * flipped, axis=1) / score.scatter
+        largest[score.width] = np.maximum(largest.get(score.width, 0.0), statistic)
+    best = np.max(
+        [-np.log(chdtrc(width, np.minimum(most, 1300.0))) for width, most in largest.items()], axis=0
+    )
     scale = max(float(np.std(best)) * np.sqrt(6) / np.pi, 1e-3)
     return Null(float(np.mean(best)) - EULER * scale, scale)

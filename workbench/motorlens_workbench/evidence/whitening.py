@@ -127,40 +127,43 @@ def fit_whitener(residual: Array, valid: NDArray[np.bool_], floor: Array, used: 
         kept[lag:] &= valid[:-lag]
     kept[:longest] = False
     reaches = tuple(reach for reach in MEMORIES if 10 * reach <= rows)
-    lagged = [residual[longest - lag : rows - lag] for lag in range(1, longest + 1)]
-    means = [past_mean(residual, reach)[longest - 1 : rows - 1] for reach in reaches] if longest else []
-    now = residual[longest:]
+    told = kept[longest:]
+    past = [residual[longest - lag : rows - lag] for lag in range(1, longest + 1)]
+    past += [past_mean(residual, reach)[longest - 1 : rows - 1] for reach in reaches] if longest else []
+    table = np.concatenate([*past, residual[longest:]], axis=1)[told]
+    # Every design is made of some of these columns: their products are enough.
+    products = table.T @ table
+    lags, means, now = np.split(np.arange(len(products)), [channels * longest, len(products) - channels])
     best: tuple[float, Whitener] | None = None
     for order, remembers in choices:
-        used_means = means if remembers else []
-        past = np.concatenate([*lagged[:order], *used_means], axis=1) if order or used_means else now[:, :0]
-        coefficients = np.zeros((order + 1, channels, channels))
-        memory = np.zeros((len(used_means), channels, channels))
-        sigma = np.zeros(channels)
-        criterion = 0.0
+        used_means = means if remembers else means[:0]
+        before = np.concatenate([lags[: channels * order], used_means])
+        weights = np.zeros((len(products), channels))
         for c in range(channels):
-            design = np.concatenate([past, now[:, :c]], axis=1)[kept[longest:]]
-            target = now[kept[longest:], c]
-            weights = _regress(design, target)
-            error = target - design @ weights
-            lags = channels * order
-            coefficients[1:, c, :] = weights[:lags].reshape(order, channels)
-            memory[:, c, :] = weights[lags : past.shape[1]].reshape(-1, channels)
-            coefficients[0, c, :c] = weights[past.shape[1] :]
-            count = max(len(error) - len(weights) - used / channels, 0.5 * len(error), 1)
-            sigma[c] = max(float(np.sqrt(np.sum(error**2) / count)), floor[c])
-            criterion += len(error) * 2 * np.log(sigma[c]) + len(weights) * np.log(max(len(error), 2))
+            given = np.concatenate([before, now[:c]])
+            weights[given, c] = _regress(products[np.ix_(given, given)], products[given, now[c]])
+        squares = np.sum((table[:, now] - table @ weights) ** 2, axis=0)
+        spent = len(before) + np.arange(channels)
+        count = np.maximum(len(table) - spent - used / channels, max(0.5 * len(table), 1))
+        sigma = np.maximum(np.sqrt(squares / count), floor)
+        criterion = len(table) * 2 * np.sum(np.log(sigma)) + np.sum(spent) * np.log(max(len(table), 2))
         if best is None or criterion < best[0]:
-            best = (criterion, Whitener(coefficients, sigma, reaches if remembers else (), memory))
+            by_lag = np.concatenate([now, lags[: channels * order]])
+            coefficients, memory = (
+                weights[at].reshape(-1, channels, channels).transpose(0, 2, 1) for at in (by_lag, used_means)
+            )
+            kept_means = reaches if remembers else ()
+            best = (
+                criterion,
+                Whitener(np.ascontiguousarray(coefficients), sigma, kept_means, np.ascontiguousarray(memory)),
+            )
     assert best is not None
     return best[1]
 
 
-def _regress(design: Array, target: Array) -> Array:
-    if not design.shape[1]:
-        return np.zeros(0)
-    gram = design.T @ design
+def _regress(gram: Array, right: Array) -> Array:
+    if not len(gram):
+        return right
     # A ridge far below the noise keeps exact copies (two channels of one signal) from blowing up.
-    gram[np.diag_indices_from(gram)] *= 1 + 1e-9
-    gram[np.diag_indices_from(gram)] += 1e-30
-    return np.asarray(np.linalg.lstsq(gram, design.T @ target, rcond=1e-13)[0])
+    ridge = np.diag(1e-9 * np.diagonal(gram) + 1e-30)
+    return np.asarray(np.linalg.lstsq(gram + ridge, right, rcond=1e-13)[0])
