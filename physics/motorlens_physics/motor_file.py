@@ -70,7 +70,7 @@ class MotorFile:
         """All parameter values by key, effects and sensors included."""
         own = {name: getattr(self.motor, name) for name in parameters(self.motor)}
         for part in self.parts:
-            own |= {f"{part.name()}.{name}": getattr(part, name) for name in part.parameters()}
+            own |= {f"{part.name()}.{name}": getattr(part, name) for name in parameters(part)}
         return own
 
     def meaning(self, key: str) -> Parameter:
@@ -84,16 +84,13 @@ class MotorFile:
         self, values: Mapping[str, float], knowledge: Mapping[str, Knowledge] | None = None
     ) -> "MotorFile":
         """A copy with some parameters changed; `knowledge` replaces what was known of them."""
-        motor, sensors = self.motor, self.sensors
+        of_owner: dict[str, dict[str, Any]] = {}
         for key, value in values.items():
             owner, _, name = key.rpartition(".")
-            change: dict[str, Any] = {name: value}
-            if not owner:
-                motor = replace(motor, **change)
-            else:
-                effects = tuple(replace(e, **change) if e.name() == owner else e for e in motor.effects)
-                motor = replace(motor, effects=effects)
-                sensors = tuple(replace(s, **change) if s.name() == owner else s for s in sensors)
+            of_owner.setdefault(owner, {})[name] = value
+        effects = tuple(replace(effect, **of_owner.get(effect.name(), {})) for effect in self.motor.effects)
+        sensors = tuple(replace(sensor, **of_owner.get(sensor.name(), {})) for sensor in self.sensors)
+        motor = replace(self.motor, effects=effects, **of_owner.get("", {}))
         return replace(self, motor=motor, sensors=sensors, knowledge={**self.knowledge, **(knowledge or {})})
 
 

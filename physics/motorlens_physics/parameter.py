@@ -5,7 +5,9 @@
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 _KEY = "motorlens"
@@ -116,6 +118,11 @@ def param(
 
 def parameters(owner: Any) -> dict[str, Parameter]:
     """The parameters of a dataclass or an instance of one, by name, in the order of their declaration."""
+    return dict(_declared(owner if isinstance(owner, type) else type(owner)))
+
+
+@cache
+def _declared(owner: type) -> Mapping[str, Parameter]:
     return {
         field.name: Parameter(name=field.name, **field.metadata[_KEY])
         for field in dataclasses.fields(owner)

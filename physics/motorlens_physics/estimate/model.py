@@ -20,9 +20,9 @@ from motorlens_physics.estimate.forcing import SETTLED, as_read, of_angle
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.sensitivity import Linearisation, differentiate
+from motorlens_physics.sensitivity import Linearisation, differentiate, sensitivities
 from motorlens_physics.sensor_model import SensorModel
-from motorlens_physics.simulation import Inputs, Trajectory, simulate
+from motorlens_physics.simulation import Inputs, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -121,10 +121,12 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
     Raises:
         ModelError: the simulation cannot go on.
     """
-    trajectory = simulate(
+    # With the machine code that sensitivities need as well.
+    trajectory, _ = sensitivities(
         motor_of(model, run),
         inputs_of(model, run, r),
         start_of(model, r),
+        (),
         tolerance=model.tolerance,
         smooth=True,
     )
@@ -287,13 +289,14 @@ def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:
         for j in np.ndindex(y.shape[1:]):
             shown[:, *j] = sensor.record(time_s, y[:, *j], np.random.default_rng(0))
         return shown
-    return np.asarray(sensor.read(y, np.gradient(y, time_s, axis=0)), dtype=np.float64)
+    return np.asarray(sensor.read(y, 0.0), dtype=np.float64)
 
 
 def _unread(sensors: Sequence[SensorModel], channel: str, time_s: Array, y: Array) -> Array:
     for sensor in reversed(sensors):
         if sensor.channel == channel:
-            y = np.asarray(sensor.unread(y, np.gradient(y, time_s)), dtype=np.float64)
+            rate = np.gradient(y, time_s) if sensor.kind == "lag" else 0.0
+            y = np.asarray(sensor.unread(y, rate), dtype=np.float64)
     return y
 
 

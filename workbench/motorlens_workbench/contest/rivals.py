@@ -49,8 +49,7 @@ def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
     null = file.meaning(key).null or 0.0
     size = (here.fitted.model.values()[key] - null) / prior.sd[key]
     others = [other for other in here.book.keys if not other.startswith(f"{name}.")]
-    beside = here.book.beside(others, {key: size})
-    scores = best_of([s for entry in here.book.entries if (s := beside.score(entry)) is not None])
+    scores = best_of(here.book.scores(others, {key: size}))
     itself = own_score(here.book, here.fitted, accepted.hypothesis)
     if itself is None:
         return Rivals(name, {name: 1.0}, scores)

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 # Columns filtered at once, so that memory stays small on long recordings.
 CHUNK = 48
+# Shapes tested at once, likewise.
+TOGETHER = 64
 # Share of its power that a column must keep beside the fitted parameters: below it, rounding alone is left.
 COPY = 1e-7
 # Degrees of freedom of what a motor file states: Student's t, for data sheets err by more than they say (Lange, Little and
@@ -96,8 +98,7 @@ class Ledger:
         self, given: Sequence[str] | None = None, target: Mapping[str, float] | None = None
     ) -> list[Score]:
         """Every shape of which the recordings can say anything, see `beside`."""
-        beside = self.beside(given, target)
-        return [score for entry in self.entries if (score := beside.score(entry)) is not None]
+        return self.beside(given, target).scores(self.entries)
 
 
 @dataclass(frozen=True)
@@ -132,19 +133,31 @@ class Beside:
             self.inverse @ (self.right.sum(axis=0) + self.ledger.belief[self.at] * self.ledger.pull[self.at])
         )
 
-    def projected(self, entry: Entry) -> tuple[Array, Array]:
-        """(B + 1, k) and (B + 1, k, k): score and information of each block; the last is what the priors say."""
-        cross = entry.cross[:, self.at]
-        weights = self.inverse @ cross.sum(axis=0)
-        own = entry.cross.transpose(0, 2, 1) @ self.mix
-        score = own - self.right @ weights - self.moves @ cross
-        score += (self.gram @ self.moves) @ weights
-        half = weights.T @ (0.5 * self.gram @ weights - cross)
-        inner = entry.inner + half + half.transpose(0, 2, 1)
-        belief = self.ledger.belief[self.at]
-        prior = -weights.T @ (belief * (self.ledger.pull[self.at] - self.moves))
-        known = (weights.T * belief) @ weights
-        return np.vstack([score, prior]), np.concatenate([inner, known[None]])
+    def projected(self, entries: Sequence[Entry]) -> tuple[Array, Array]:
+        """(S, B + 1, k) and (S, B + 1, k, k): score and information of each block of as many shapes of one width.
+
+        The last block is what the priors say.
+        """
+        cross = np.stack([entry.cross for entry in entries])
+        own = cross[:, :, self.at]
+        weights = self.inverse @ own.sum(axis=1)
+        mix = self.mix.copy()
+        mix[self.at] -= self.moves
+        score = mix @ cross - self._unexplained @ weights
+        explained = np.concatenate(self.gram) @ weights
+        half = weights.swapaxes(1, 2)[:, None] @ (0.5 * explained.reshape(own.shape) - own)
+        inner = np.stack([entry.inner for entry in entries]) + half + half.swapaxes(2, 3)
+        belief, across = self.ledger.belief[self.at], weights.swapaxes(1, 2)
+        prior = -across @ (belief * (self.ledger.pull[self.at] - self.moves))
+        known = (across * belief) @ weights
+        return np.concatenate([score, prior[:, None]], axis=1), np.concatenate(
+            [inner, known[:, None]], axis=1
+        )
+
+    @cached_property
+    def _unexplained(self) -> Array:
+        """(B, q) products of the parameters with what they leave of the error."""
+        return self.right - self.gram @ self.moves
 
     def moves_with(self, entry: Entry, size: Array) -> Array:
         """(q,) how the parameters would move beside a shape of that size (k,), in units."""
@@ -152,30 +165,53 @@ class Beside:
 
     def score(self, entry: Entry) -> Score | None:
         """The test of a shape; None where fitted parameters can do all that it does."""
-        by_block, inner = self.projected(entry)
-        raw = np.diagonal(entry.inner.sum(axis=0))
-        kept = np.diagonal(inner.sum(axis=0)) > COPY * np.maximum(raw, 1e-300)
-        if not kept.any() or (len(kept) <= 2 and not kept.all()):
-            return None
-        by_block, inner = by_block * kept, inner * np.outer(kept, kept)
-        information = inner.sum(axis=0)
-        precision = information.copy()
-        largest = CRITERIA.largest if entry.hypothesis.named else entry.hypothesis.typical
-        if largest > 0:
-            precision += np.eye(len(kept)) / largest**2
-        back = inverse(precision[np.ix_(kept, kept)])
-        whole = np.zeros_like(information)
-        whole[np.ix_(kept, kept)] = back
-        total = by_block.sum(axis=0)
-        size = whole @ total
-        share = np.clip(np.einsum("ij,bji->b", whole, inner) / kept.sum(), 0.0, MOST_OF_IT)
-        rests = (by_block - inner @ size) / (1 - share)[:, None]
-        scatter = scatter_of(rests, whole, int(kept.sum()))
-        gain = float(total @ size)
-        weight = -log_chance(gain / scatter, int(kept.sum()))
-        return Score(
-            entry, size, whole * scatter, information, gain, scatter, weight, int(kept.sum()), rests, whole
-        )
+        return next(iter(self.scores([entry])), None)
+
+    def scores(self, entries: Sequence[Entry]) -> list[Score]:
+        """The tests of shapes, in their order, but for those of which fitted parameters can do all."""
+        scores: dict[int, Score] = {}
+        widths = np.array([entry.inner.shape[-1] for entry in entries])
+        for width in np.unique(widths):
+            alike = np.flatnonzero(widths == width)
+            for first in range(0, len(alike), TOGETHER):
+                some = alike[first : first + TOGETHER].tolist()
+                told = self._scores([entries[k] for k in some])
+                scores |= {k: score for k, score in zip(some, told, strict=True) if score is not None}
+        return [scores[k] for k in sorted(scores)]
+
+    def _scores(self, entries: Sequence[Entry]) -> list[Score | None]:
+        """Of shapes of one width."""
+        by_block, inner = self.projected(entries)
+        raw = np.array([np.diagonal(entry.inner.sum(axis=0)) for entry in entries])
+        kept = np.diagonal(inner.sum(axis=1), axis1=1, axis2=2) > COPY * np.maximum(raw, 1e-300)
+        able, widths = kept.any(axis=1), kept.sum(axis=1)
+        if kept.shape[1] <= 2:
+            able &= kept.all(axis=1)
+        both = kept[:, :, None] & kept[:, None, :]
+        by_block, inner = by_block * kept[:, None], inner * both[:, None]
+        information = inner.sum(axis=1)
+        largest = np.array([
+            CRITERIA.largest if entry.hypothesis.named else entry.hypothesis.typical for entry in entries
+        ])  # fmt: skip
+        sizes = np.divide(1.0, largest**2, out=np.zeros(len(largest)), where=largest > 0)
+        # What is not kept stands by itself in what is inverted, and is no part of the inverse.
+        precision = information + np.eye(kept.shape[1]) * np.where(kept, sizes[:, None], 1.0)[:, None]
+        whole = inverse(precision) * both
+        total = by_block.sum(axis=1)
+        size = (whole @ total[:, :, None])[:, :, 0]
+        shares = np.einsum("sij,sbji->sb", whole, inner) / np.maximum(widths, 1)[:, None]
+        rests = by_block - (inner @ size[:, None, :, None])[:, :, :, 0]
+        rests /= (1 - np.clip(shares, 0.0, MOST_OF_IT))[:, :, None]
+        gains, scatters = np.sum(total * size, axis=1), scatter_of(rests, whole, np.maximum(widths, 1))
+        return [
+            Score(
+                entry, size[k], whole[k] * scatter, information[k], gain, scatter, -log_chance(gain / scatter, width),
+                width, rests[k], whole[k],
+            ) if able[k] else None
+            for k, (entry, gain, scatter, width) in enumerate(
+                zip(entries, gains.tolist(), scatters.tolist(), widths.tolist(), strict=True)
+            )
+        ]  # fmt: skip
 
 
 def layout(lines: Sequence[Line]) -> tuple[tuple[int, slice], ...]:

@@ -71,7 +71,7 @@ class Look:
         book, entries = self.entries(scores, uncorrected, self.lens, prior)
         beside, doubted = book.beside(), []
         for score, entry in zip(scores, entries, strict=True):
-            there, here = beside.projected(entry)[0], self.beside.projected(score.entry)[0]
+            there, here = beside.projected([entry])[0][0], self.beside.projected([score.entry])[0][0]
             moved = there.sum(axis=0) - here.sum(axis=0)
             doubt = CRITERIA.doubt**2 * float(moved @ score.inverse @ moved) / score.width
             doubted.append(score.doubted(doubt))
@@ -117,8 +117,7 @@ def looks(
     for lens, book in zip(lenses, ledgers(lines, lenses, prior, listed), strict=True):
         book = with_entries(book, changes(book, lines, constants))
         beside = book.beside()
-        scores = tuple(score for entry in book.entries if (score := beside.score(entry)) is not None)
-        made.append(Look(tuple(lines), lens, book, beside, scores))
+        made.append(Look(tuple(lines), lens, book, beside, tuple(beside.scores(book.entries))))
     return made
 
 

@@ -115,12 +115,15 @@ class Score:
         return float(np.sqrt(gain * self.scatter / max(self.information[0, 0], 1e-300)))
 
 
-def scatter_of(rests: Array, inverse_: Array, width: int) -> float:
-    """How much more scores (B, k) of blocks scatter than white noise, at least 1; slow noise shows between longer blocks."""
-    worst = 1.0
+def scatter_of(rests: Array, inverse_: Array, width: NDArray[np.int64]) -> Array:
+    """(S,) how much more scores (S, B, k) of blocks scatter than white noise, at least 1.
+
+    Slow noise shows between longer blocks.
+    """
+    worst = np.ones(len(rests))
     for merged in (1, 2, 4):
-        joined = np.add.reduceat(rests, np.arange(0, len(rests), merged), axis=0)
-        worst = max(worst, float(np.sum(inverse_ * (joined.T @ joined))) / width)
+        joined = np.add.reduceat(rests, np.arange(0, rests.shape[1], merged), axis=1)
+        worst = np.maximum(worst, np.sum((joined @ inverse_) * joined, axis=(1, 2)) / width)
     return worst
 
 
@@ -138,11 +141,12 @@ def log_chance(statistic: float, width: int) -> float:
 
 
 def inverse(gram: Array) -> Array:
-    """Of a symmetric matrix; directions of which rounding alone is left count as unknown."""
-    if not len(gram):
+    """Of symmetric matrices (..., k, k); directions of which rounding alone is left count as unknown."""
+    if not gram.size:
         return gram
-    power = np.diagonal(gram)
+    power = np.diagonal(gram, axis1=-2, axis2=-1)
     scale = np.sqrt(np.where(power > 0, power, 1.0))
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    keep = values > 1e-11 * values[-1]
-    return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(scale, scale))
+    scales = scale[..., :, None] * scale[..., None, :]
+    values, vectors = np.linalg.eigh(gram / scales)
+    told = np.divide(1.0, values, out=np.zeros(values.shape), where=values > 1e-11 * values[..., -1:])
+    return np.asarray((vectors * told[..., None, :]) @ vectors.swapaxes(-1, -2) / scales)
