@@ -12,11 +12,13 @@ install: .venv/everything
 
 # What the demo needs: the runtime and the simulated drive, no torch.
 .venv/demo: pyproject.toml constraints.txt
+	@echo "Installing what the demo needs into .venv: a few minutes, once."
 	$(PYTHON) -m venv .venv
 	$(PIP) --constraint constraints.txt --editable '.[workbench]'
 	touch $@
 
 .venv/everything: pyproject.toml constraints.txt
+	@echo "Installing everything into .venv: many minutes, once."
 	$(PYTHON) -m venv .venv
 	$(PIP) --constraint constraints.txt --editable '.[all,dev]'
 	touch $@

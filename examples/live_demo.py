@@ -114,7 +114,7 @@ def table(rows: list[Row], truth: Recording) -> None:
         error = estimate - np.interp(time, truth.time_s, true[name])
         inside = np.mean(np.abs(error) <= 2 * sd)
         print(
-            f"{name + ', ' + unit:24}{np.sqrt(np.mean(error**2)):12.3f}{np.abs(error).max():12.3f}{100 * inside:13.1f}%"
+            f"{name + ', ' + unit:24}{np.sqrt(np.mean(error**2)):12.2g}{np.abs(error).max():12.2g}{100 * inside:13.1f}%"
         )
 
 

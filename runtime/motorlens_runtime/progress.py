@@ -1,12 +1,31 @@
-"""A progress line on standard error for work that takes more than two seconds."""
+"""A line on standard error for work that takes more than two seconds: progress, or that it is at work."""
 
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
 _QUIET_S = 2.0
 _EVERY_S = 0.2
+
+
+@contextmanager
+def patience(command: str) -> Iterator[None]:
+    """Say on a terminal, once, that a command is at work that tells nothing else of itself and takes more than seconds."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    words = f"motorlens {command}: at work; the first time on a machine, simulations are compiled for it"
+    late = threading.Timer(_QUIET_S, print, [words], {"file": sys.stderr, "flush": True})
+    late.daemon = True
+    late.start()
+    try:
+        yield
+    finally:
+        late.cancel()
 
 
 class Progress:

@@ -48,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.motor_file import parse_override, read_motor_file, with_overrides
     from motorlens_physics.recording import write_recording
     from motorlens_physics.scenario import chosen_scenario, measure, parse_noise, perform
+    from motorlens_runtime.progress import patience
 
     scenario = chosen_scenario(arguments.scenario, arguments.duration, arguments.rate)
     own = load_effects(arguments.effects_from) if arguments.effects_from else {}
@@ -59,7 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
         None if arguments.terminal is None else Terminal(code(Terminal, arguments.terminal, "--terminal"))
     )
     shaft = None if arguments.shaft is None else Shaft(code(Shaft, arguments.shaft, "--shaft"))
-    truth = perform(file, scenario, rng, terminal=terminal, shaft=shaft)
+    with patience("simulate"):
+        truth = perform(file, scenario, rng, terminal=terminal, shaft=shaft)
     noise = parse_noise(arguments.noise, file.rated)
     recording = measure(truth, file.sensors, noise, rng)
     write_recording(replace(recording, name=arguments.output), arguments.output)

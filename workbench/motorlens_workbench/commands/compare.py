@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.command_inputs import input_words, inputs_from, print_notes
+    from motorlens_runtime.progress import patience
     from motorlens_workbench.compare.comparison import compare
     from motorlens_workbench.compare.long_recordings import is_long
     from motorlens_workbench.report.comparison import to_html, to_json, to_text
@@ -32,7 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
     given = inputs_from(arguments)
     recordings = given.recordings(arguments.recordings)
     say = teller("compare") if any(map(is_long, recordings)) else lambda text: None
-    found = compare(given.file, recordings, say)
+    with patience("compare"):
+        found = compare(given.file, recordings, say)
     write_json(to_json(found, arguments.recordings, arguments.motor), arguments.json)
     if arguments.html:
         words = ["motorlens", "compare", *arguments.recordings, *input_words(arguments)]

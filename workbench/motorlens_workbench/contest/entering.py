@@ -101,7 +101,8 @@ def enter(
         near = [one for one in named if one.score.entry.hypothesis.equation in equations]
         tried += [one for one in near[:REFITTED] if one not in tried]
     tried += [one for one in promised[:REFITTED] if one not in tried]
-    say(f"fitting with {', '.join(one.name.replace('_', ' ') for one in tried) or 'none'}")
+    if tried:
+        say(f"fitting with {', '.join(one.name.replace('_', ' ') for one in tried)}")
     # All under one noise, that which the strongest leaves.
     base, beside = under(here, strongest.noises)
     fits = on_all_cores(lambda one: with_hypothesis(base, beside, one.score), tried)

@@ -142,9 +142,9 @@ def _table(document: dict[str, Any]) -> Table:
     for entry in entries:
         rows.append(
             [entry["name"].replace("_", " "), entry["equation"].replace("_", " "), _chance(entry["p"]),
-             _probability(entry), size_text(entry), least_text(entry), entry["why_not"]]
+             _probability(entry), entry["why_not"] or size_text(entry), least_text(entry)]
         )  # fmt: skip
-    headings = ["candidate", "equation", "p", "probability", "size", "would have been seen from", "note"]
+    headings = ["candidate", "equation", "p", "probability", "size", "would have been seen from"]
     top = max((_weight(entry) for entry in entries), default=0.0)
     # All that share the first place, not whichever happens to be listed first.
     strong = [
@@ -221,6 +221,9 @@ def _parameters(found: Finding) -> Table:
                 base.model.values()[key],
                 last.model.values()[key],
                 float(spread[key]),
+                unit_text(base.model.file.meaning(key).unit),
             ]
         )
-    return Table(["parameter", "motor file", "fitted, base", "fitted, after", "standard deviation"], rows)
+    return Table(
+        ["parameter", "motor file", "fitted, base", "fitted, after", "standard deviation", "unit"], rows
+    )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
@@ -202,19 +203,21 @@ def to_text(document: Mapping[str, Any]) -> str:
     """What the terminal shows."""
     rows = [document["sentence"], ""]
     error = document["error"]
-    rows.append(f"{'channel':<14}{'before':>12}{'after':>12}{'noise':>12}   RMSE on blocks of time held out")
+    rows.append(f"{'channel':<18}{'before':>12}{'after':>12}{'noise':>12}   RMSE on blocks of time held out")
     for channel, before in error["before"].items():
-        rows.append(
-            f"{channel:<14}{before:>12.4g}{error['after'][channel]:>12.4g}{error['noise_floor'][channel]:>12.4g}"
-        )
+        rms = before, error["after"][channel], error["noise_floor"][channel]
+        rows.append(f"{channel + ', ' + UNIT_OF[channel]:<18}" + "".join(f"{value:>12.4g}" for value in rms))
     rows += risen(error["before"], error["after"])
+    shown = document["candidates"][:SHOWN]
+    told = [entry["why_not"] or size_text(entry) for entry in shown]
+    width = max(map(len, [*told, "size"])) + 2
     rows += [
         "",
-        f"{'hypothesis':<34}{'probability':>12}{'p by chance':>13}   {'size':<26}would have been seen from",
+        f"{'hypothesis':<34}{'probability':>12}{'p by chance':>13}   {'size':<{width}}would have been seen from",
     ]
-    for entry in document["candidates"][:SHOWN]:
+    for entry, size in zip(shown, told, strict=True):
         rows.append(
-            f"{entry['name'].replace('_', ' '):<34}{entry['probability']:>12.2f}{entry['p']:>13.1e}   {size_text(entry):<26}"
+            f"{entry['name'].replace('_', ' '):<34}{entry['probability']:>12.2f}{entry['p']:>13.1e}   {size:<{width}}"
             f"{least_text(entry)}"
         )
     if document["cannot_tell"]:

@@ -191,7 +191,7 @@ async function follow() {
     if (hidden) say(`${what} has begun`);
     $("running-what").textContent = what;
     $("running-since").textContent = `${running.seconds.toFixed(0)} s`;
-    $("running-line").textContent = (state.progress.at(-1) || "starting").replace(/^\d+(\.\d+)? s +/, "");
+    $("running-line").textContent = (state.progress.at(-1) || "at work; the first time on a machine, simulations are compiled for it").replace(/^\d+(\.\d+)? s +/, "");
   }
   const changed = state.steps.filter((step, k) => !steps[k] || steps[k].state !== step.state);
   const fresh = seen;
