@@ -63,15 +63,16 @@ def settled(fitted: Fitted) -> Fitted:
     return Fitted(point.model, fitted.prior, runs, cost, inverse(gram))
 
 
-def anew(fitted: Fitted) -> Fitted | None:
+def anew(fitted: Fitted, reached: Weighed | None = None) -> Fitted | None:
     """The whole estimate with the effects and sensors' faults that the model has, timing and noise included.
 
     It begins at the motor file, not where the model without them had ended: what is missing bends the parameters, and may
-    pass for a delay or for inputs that ran otherwise. None if it leads where nothing can be simulated.
+    pass for a delay or for inputs that ran otherwise. Or it goes on from what `nearly` has reached. None if it leads where
+    nothing can be simulated.
     """
     begin, runs = _beginning(fitted)
     try:
-        found = estimate(begin.file, runs, fitted.prior, begin=begin)
+        found = estimate(begin.file, runs, fitted.prior, begin=begin, reached=reached)
     except ModelError:
         return None
     return Fitted(found.fit.model, fitted.prior, found.runs, float("inf"), found.fit.covariance)

@@ -142,7 +142,10 @@ def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
     Raises:
         ModelError: it leads where nothing can be simulated.
     """
-    runs = tuple(replace(run, noise=noise) for run, noise in zip(here.fitted.runs, noises, strict=True))
+    runs = tuple(
+        run if noise is run.noise else replace(run, noise=noise)
+        for run, noise in zip(here.fitted.runs, noises, strict=True)
+    )
     fitted = refit(here.fitted.model, here.fitted.prior, runs)
     if fitted is None:
         raise ModelError("the model cannot be fitted under this noise")
@@ -280,8 +283,10 @@ def unlikelihood(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence
 
 def _torque_of(noise: Noise, other: Noise) -> Noise:
     """A noise with the unmeasured torque of another, if that is smaller."""
+    if other.disturbances[TORQUE] >= noise.disturbances[TORQUE]:
+        return noise
     disturbances = noise.disturbances.copy()
-    disturbances[TORQUE] = min(disturbances[TORQUE], other.disturbances[TORQUE])
+    disturbances[TORQUE] = other.disturbances[TORQUE]
     return replace(noise, disturbances=disturbances)
 
 

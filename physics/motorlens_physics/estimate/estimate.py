@@ -65,6 +65,7 @@ def estimate(
     *,
     held: bool | None = None,
     begin: Model | None = None,
+    reached: Weighed | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Estimate:
     """Fit a motor to prepared recordings.
@@ -76,6 +77,7 @@ def estimate(
         held: whether measured inputs hold between samples or run linearly; None decides by the likelihood, each input and
             recording of its own.
         begin: where to begin, instead of the motor file.
+        reached: where `near` has led from there, if it has been asked before.
         progress: told what goes on.
 
     Raises:
@@ -85,7 +87,7 @@ def estimate(
     model = start_model(file, runs) if begin is None else begin
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
-    point = near(runs, prior, model, held=held, progress=progress)
+    point = near(runs, prior, model, held=held, progress=progress) if reached is None else reached
     point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, model, runs, runs, prior, progress)
     point = _with_converters_and_shaft(point, model.tolerance, prior)

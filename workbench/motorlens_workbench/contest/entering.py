@@ -111,7 +111,9 @@ def enter(
     step = Step()
     for one, fitted in made:
         # It was fitted under what noise the strongest would leave; from there and from the model's own, noise is found anew.
-        step = step.then(_judged(here, one.score, (fitted, replace(fitted, runs=here.fitted.runs)), own))
+        own_noise = replace(fitted, runs=here.fitted.runs)
+        starts = (fitted,) if fitted.runs == here.fitted.runs else (fitted, own_noise)
+        step = step.then(_judged(here, one.score, starts, own))
         if step.accepted is None and step.standing is not None:
             return step
         if step.standing is not None:
@@ -158,16 +160,13 @@ def enter_anew(
     base = nearly(here.fitted)
     if base is None:
         return nothing
-    reached = on_all_cores(lambda one: nearly(about(one)), list(named.values()))
-    won = {
-        name: gained(base, point, here.fitted.prior)
-        for name, point in zip(named, reached, strict=True)
-        if point is not None
-    }
+    points = on_all_cores(lambda one: nearly(about(one)), list(named.values()))
+    reached = {name: point for name, point in zip(named, points, strict=True) if point is not None}
+    won = {name: gained(base, point, here.fitted.prior) for name, point in reached.items()}
     able = sorted((name for name in won if won[name] > 0), key=lambda name: -won[name])
     nearest = [named[name] for name in able[:ESTIMATED]]
     say(f"and to the end with {', '.join(one.name.replace('_', ' ') for one in nearest) or 'none'}")
-    fits = zip(nearest, on_all_cores(lambda one: anew(about(one)), nearest), strict=True)
+    fits = zip(nearest, on_all_cores(lambda one: anew(about(one), reached[one.name]), nearest), strict=True)
     made = [
         (one, fitted) for one, fitted in fits if fitted is not None and np.isfinite(_unlikely(here, fitted))
     ]

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.converter import quantisation_step
-from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.fit import fit, start_model
+from motorlens_physics.estimate.estimate import COARSE, estimate
+from motorlens_physics.estimate.fit import NEAR, fit, start_model
 from motorlens_physics.estimate.free_run import stirred_by_inputs
 from motorlens_physics.estimate.model import predict
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.weighed import CLOSE
 from motorlens_physics.motor_file import MotorFile
 from motorlens_runtime.errors import ModelError
 
@@ -83,7 +84,9 @@ class DeadChannel:
 
 def dead_channels(file: MotorFile, runs: Sequence[Run]) -> tuple[DeadChannel, ...]:
     """Channels whose content the other channels contradict, and which no motor near its file would explain."""
-    base = fit(start_model(file, runs), runs, base_prior(file, runs))
+    # Near is enough to see whether a channel follows.
+    begin = replace(start_model(file, runs), tolerance=COARSE)
+    base = fit(begin, runs, base_prior(file, runs), rounds=NEAR, enough=CLOSE)
     found = []
     for r, run in enumerate(runs):
         found += [DeadChannel(r, run.name, channel, 0.0, 0.0, when) for channel, when in run.hung.items()]
