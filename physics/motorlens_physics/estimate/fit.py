@@ -12,7 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.model import Model, predict, sensitivities_of
+from motorlens_physics.estimate.model import Model, sensitivities_of
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.motor_file import MotorFile
@@ -213,13 +213,39 @@ def _step(
 
 @dataclass(frozen=True)
 class _Averaged:
-    """Errors of averaged rows, each channel of a run in units of its size (C,)."""
+    """Errors (rows, C) and sensitivities (rows, C, k) of averaged rows, each channel of a run in units of its size (C,).
+
+    The sensitivities of a run are those to the keys at its positions in `mine`.
+    """
 
     model: Model
     runs: Sequence[Run]
     keys: tuple[str, ...]
-    sizes: Sequence[Array]
+    mine: Sequence[list[int]]
     residuals: tuple[Array, ...]
+    columns: tuple[Array, ...]
+    sizes: Sequence[Array] = ()
+
+    @classmethod
+    def at(cls, model: Model, runs: Sequence[Run], keys: tuple[str, ...]) -> "_Averaged":
+        """At a model, sizes left open; nearly every point is one from which the next step is taken.
+
+        Raises:
+            ModelError: a simulation cannot go on.
+        """
+        mine = [
+            [k for k, key in enumerate(keys) if "@" not in key or key.endswith(f"@{r}")]
+            for r in range(len(runs))
+        ]
+
+        def one(r: int) -> tuple[Array, Array]:
+            # Beside the inputs as they were measured: what their sensors showed wrongly is in the errors, whole.
+            run = replace(runs[r], corrections=None)
+            _, shown, columns, _ = sensitivities_of(model, run, r, [keys[k] for k in mine[r]])
+            return run.average(run.measured - shown), run.average(columns)
+
+        residuals, columns = zip(*on_all_cores(one, range(len(runs))), strict=True)
+        return cls(model, runs, keys, mine, residuals, columns)
 
     @property
     def cost(self) -> float:
@@ -227,17 +253,10 @@ class _Averaged:
 
     def normal(self) -> tuple[Array, Array]:
         gram, gradient = np.zeros((len(self.keys), len(self.keys))), np.zeros(len(self.keys))
-
-        def one(r: int) -> tuple[list[int], Array, Array]:
-            run = self.runs[r]
-            mine = [k for k, key in enumerate(self.keys) if "@" not in key or key.endswith(f"@{r}")]
-            columns = sensitivities_of(self.model, run, r, [self.keys[k] for k in mine])[2]
-            z = (run.average(columns)[run.fresh()] / self.sizes[r][:, None]).reshape(-1, len(mine))
-            return mine, z.T @ z, z.T @ self._errors(r).ravel()
-
-        for mine, own, right in on_all_cores(one, range(len(self.runs))):
-            gram[np.ix_(mine, mine)] += own
-            gradient[mine] += right
+        for r, (run, mine) in enumerate(zip(self.runs, self.mine, strict=True)):
+            z = (self.columns[r][run.fresh()] / self.sizes[r][:, None]).reshape(-1, len(mine))
+            gram[np.ix_(mine, mine)] += z.T @ z
+            gradient[mine] += z.T @ self._errors(r).ravel()
         return gram, gradient
 
     def _errors(self, r: int) -> Array:
@@ -260,7 +279,7 @@ def fit(model: Model, runs: Sequence[Run], prior: Prior, *, rounds: int = 12, en
     latest: list[Sequence[Array]] = [()]
 
     def at(trial: Model) -> _Averaged:
-        return _Averaged(trial, runs, prior.keys, latest[0], residuals_of(trial, runs))
+        return replace(_Averaged.at(trial, runs, prior.keys), sizes=latest[0])
 
     def between(here: _Averaged) -> _Averaged:
         latest[0] = [_sizes(residual, run) for residual, run in zip(here.residuals, runs, strict=True)]
@@ -270,17 +289,6 @@ def fit(model: Model, runs: Sequence[Run], prior: Prior, *, rounds: int = 12, en
         at(model), prior, at, rounds=rounds, enough=enough, between=between, damping=1e-3
     )
     return Fit(end.model, prior, inverse(gram), end.residuals, left)
-
-
-def residuals_of(model: Model, runs: Sequence[Run]) -> tuple[Array, ...]:
-    """Measured less predicted, averaged rows, (rows, C) of each run.
-
-    Raises:
-        ModelError: a simulation cannot go on.
-    """
-    # Beside the inputs as they were measured: what their sensors showed wrongly is in the errors, whole.
-    shown = (predict(model, replace(run, corrections=None), r)[1] for r, run in enumerate(runs))
-    return tuple(run.average(run.measured - y) for run, y in zip(runs, shown, strict=True))
 
 
 def _sizes(residual: Array, run: Run) -> Array:
