@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.model import predict, through_sensors
 from motorlens_physics.estimate.run import largest_offset, prepare, prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
+from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.sensors import sensors
 from motorlens_workbench.standing import stand
@@ -33,6 +35,26 @@ MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 )
 def test_only_an_exact_zero_at_rest_bounds_the_offset(shown, largest):
     assert largest_offset(np.array(shown, dtype=float)) == largest
+
+
+def test_small_changes_go_through_sensors_as_the_sensors_record_them():
+    """The difference of two records, whose equation of a lag scipy integrates; no columns are none."""
+    file = read_motor_file(MOTOR)
+    lag, gain = sensor_catalogue()["speed_sensor_lag"], sensor_catalogue()["current_sensor_gain"]
+    file = replace(file, sensors=(replace(lag, tau=0.3), replace(gain, gain=1.2)))
+    time = np.linspace(0.0, 2.0, 401)
+    rest = Recording("rest", time, {"voltage": time, "current": np.sin(time), "speed": np.cos(time)})
+    (run,) = prepare_all([rest], file)
+    model = start_model(file, [run])
+    columns = np.random.default_rng(1).standard_normal((len(time), 2, 3)).cumsum(axis=0)
+    moved = through_sensors(model, run, columns)
+    assert moved[:, 0] == pytest.approx(1.2 * columns[:, 0])
+    for j in range(3):
+        u = columns[:, 1, j]
+        # From where it rested at the first sample.
+        late = lsim(([1.0], [0.3, 1.0]), u - u[0], time)[1] + u[0]
+        assert moved[:, 1, j] == pytest.approx(late, abs=1e-9)
+    assert through_sensors(model, run, columns[:, :, :0]).shape == (len(time), 2, 0)
 
 
 def wheel(offset: float) -> Recording:

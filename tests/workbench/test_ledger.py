@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from motorlens_workbench.evidence.ledger import Ledger
-from motorlens_workbench.evidence.null import null_of
+from motorlens_workbench.evidence.null import FLIPS, null_of
 from motorlens_workbench.evidence.score import Entry, Score
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
@@ -119,6 +120,25 @@ def test_a_copy_of_fitted_columns_says_nothing(problem):
     assert book.beside().score(book.entries[0]) is None
 
 
+def test_shapes_of_any_width_are_tested_together_and_stay_in_their_order():
+    """Each as by regression on its own; copies of the fitted columns, among them, say nothing."""
+    rng = np.random.default_rng(7)
+    base, error = 1e4 * rng.standard_normal((ROWS, 2)), rng.standard_normal(ROWS)
+    widths = [1, 2, 1, 4] * 40
+    shapes = [rng.standard_normal((ROWS, width)) for width in widths]
+    shapes[2] = base[:, :1] - base[:, 1:]
+    scores = book_of(base, shapes, error).scores()
+    assert [score.name for score in scores] == [f"h{j}" for j in range(len(widths)) if j != 2]
+    for score in scores[:: len(scores) - 1]:
+        columns = shapes[int(score.name[1:])]
+        full = np.linalg.lstsq(np.hstack([base, columns]), error, rcond=None)[0]
+        assert score.coefficient == pytest.approx(full[2:], rel=1e-5)
+    by_hand = [np.linalg.lstsq(np.hstack([base, columns]), error, rcond=None)[1] for columns in shapes]
+    alone = np.linalg.lstsq(base, error, rcond=None)[1]
+    gains = [float((alone - rest)[0]) for j, rest in enumerate(by_hand) if j != 2]
+    assert [score.gain for score in scores] == pytest.approx(gains, rel=1e-5)
+
+
 def test_slow_noise_makes_scatter_and_not_weight():
     """A random walk of blocks in the errors makes nominal gains huge; the statistic stays a chi-squared."""
     rng = np.random.default_rng(2)
@@ -152,6 +172,25 @@ def test_the_largest_of_all_shapes_is_beyond_its_null_as_often_as_is_stated():
         assert null is not None
         beyond += null.excess(max(score.weight for score in scores)) > at_five
     assert 0.02 < beyond / 1000 < 0.08
+
+
+def test_the_null_is_the_largest_of_every_shape_under_every_flip():
+    """Shape by shape and flip by flip, written out, the weight by scipy."""
+    scores = many(np.random.default_rng(8))
+    signs = np.random.default_rng(9).choice([-1.0, 1.0], (FLIPS, len(scores[0].rests)))
+    largest = [
+        max(
+            -chi2.logsf(flipped @ score.inverse @ flipped / score.scatter, score.width)
+            for score in scores
+            for flipped in (sign @ score.rests,)
+        )
+        for sign in signs
+    ]
+    null = null_of(scores, np.random.default_rng(9))
+    assert null is not None
+    # Mean and standard deviation of Gumbel's distribution.
+    assert null.mode + np.euler_gamma * null.scale == pytest.approx(np.mean(largest), rel=1e-9)
+    assert np.pi / np.sqrt(6) * null.scale == pytest.approx(np.std(largest), rel=1e-9)
 
 
 def test_power_rises_with_size():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.estimate.converter import quantisation_step
-from motorlens_workbench.evidence.whitening import Whitener, fit_whitener, white
+from motorlens_workbench.evidence.whitening import CHOICES, Whitener, fit_whitener, white
 
 
 def coloured(rows: int, seed: int) -> np.ndarray:
@@ -30,6 +30,23 @@ def test_the_filter_of_a_known_process_is_found():
     products = z[:-1].T @ z[1:] / len(z)
     assert np.abs(products).max() < 4 / np.sqrt(len(z))
     assert np.cov(z.T) == pytest.approx(np.eye(2), abs=0.03)
+
+
+def test_the_filter_is_the_regression_on_the_past_by_numpy():
+    y = coloured(4000, 4)
+    y[:, 1] += y[:, 0] ** 2 / 50
+    whitener = fit_whitener(y, np.ones(len(y), bool), np.zeros(2))
+    assert whitener.order and not whitener.memories
+    # All choices are compared on the same rows, after the longest of pasts.
+    longest = max(order for order, _ in CHOICES)
+    now, order = y[longest:], whitener.order
+    past = np.hstack([y[longest - lag : len(y) - lag] for lag in range(1, order + 1)])
+    for c in range(2):
+        design = np.hstack([past, now[:, :c]])
+        weights, squares, *_ = np.linalg.lstsq(design, now[:, c], rcond=None)
+        assert whitener.coefficients[1:, c].ravel() == pytest.approx(weights[: 2 * order], abs=1e-6)
+        assert whitener.coefficients[0, c, :c] == pytest.approx(weights[2 * order :], abs=1e-6)
+        assert whitener.sigma[c] ** 2 == pytest.approx(squares[0] / (len(now) - len(weights)), rel=1e-6)
 
 
 def test_columns_are_filtered_like_the_residual():
