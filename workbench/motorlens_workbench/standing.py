@@ -142,6 +142,7 @@ def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
     Raises:
         ModelError: it leads where nothing can be simulated.
     """
+    # The same run where it is the same noise: then nothing is fitted twice.
     runs = tuple(
         run if noise is run.noise else replace(run, noise=noise)
         for run, noise in zip(here.fitted.runs, noises, strict=True)
