@@ -75,6 +75,21 @@ def test_a_stranger_tells_nothing_of_the_others(data):
     np.testing.assert_allclose(apart.mean, rest.mean)
 
 
+def test_what_one_parameter_tells_does_not_end_the_search_for_the_spread_of_another():
+    # One recording a motor tells one parameter to 20 ppm and the other worse than motors differ: restricted likelihood of
+    # each is the variance of what is shown, less that of its error.
+    rng = np.random.default_rng(4)
+    motors, error = 200, np.array([2e-5, 0.07])
+    shown = 0.1 + np.hypot(0.05, error) * rng.standard_normal((motors, 2))
+    precision = np.tile(np.diag(error**-2), (motors, 1, 1))
+    data = Data(
+        precision, shown / error**2, np.arange(motors), motors, np.full(2, 10.0), np.ones(motors, dtype=bool)
+    )
+    expected = np.sqrt(np.var(shown, axis=0, ddof=1) - error**2)
+    assert 0.04 < expected[1] < 0.07
+    np.testing.assert_allclose(spreads(data).omega, expected, rtol=2e-3)
+
+
 def test_spreads_of_many_exact_motors_are_their_standard_deviations():
     # Recordings that tell each parameter exactly: restricted likelihood is the analysis of variance.
     rng = np.random.default_rng(1)

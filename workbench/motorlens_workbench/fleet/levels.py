@@ -257,13 +257,20 @@ def _likeliest(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
     if not on.any():
         return np.zeros(at.shape)
 
-    def cost(logarithms: Array) -> tuple[float, Array]:
+    def solved(logarithms: Array) -> Solved:
         sd = np.zeros(on.shape)
         sd[on] = np.exp(logarithms)
-        solved = solve(data, *sd)
-        return -solved.evidence, -solved.slopes[on]
+        return solve(data, *sd)
 
     begin = np.log(np.clip(at[on], 2 * LEAST, MOST / 2))
+    # The search ends where a step wins a small share of the cost, which must not hold what no spread changes: the squares of
+    # what recordings say, in units of their noise, are millions.
+    least = solved(begin).evidence
+
+    def cost(logarithms: Array) -> tuple[float, Array]:
+        here = solved(logarithms)
+        return least - here.evidence, -here.slopes[on]
+
     limits = [(np.log(LEAST), np.log(MOST))] * int(on.sum())
     end = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
     found = np.zeros(on.shape)
