@@ -48,7 +48,7 @@ def test_files_failures_and_a_second_run(plant, capsys):
     assert make.name == "make of mellah2016"
     assert make.knowledge["R_a0"].sd == 0.35
     results = {name: (plant / "out" / name).stat().st_mtime_ns for name in first if "results" in name.parts}
-    # Six by themselves, and again beside their make the four that can be used.
+    # Six by themselves, and again where their motors are likeliest the four that can be used.
     assert len(results) == 6 + 4
     assert run(plant, "out") == first
     assert results == {name: (plant / "out" / name).stat().st_mtime_ns for name in results}

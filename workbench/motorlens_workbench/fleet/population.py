@@ -2,9 +2,8 @@
 
 Two levels as in pharmacometrics (FOCEI; Wang 2007, doi:10.1007/s10928-007-9060-6): parameters of a motor are normal around
 those of the make, those of a recording around those of its motor. The parabola of a recording is quadratic in the
-parameters themselves, so that with them both levels are exact, and no point has to be chosen at which logarithms would be
-straight. A motor that is too far from the others to be one of them is left out of the estimate of what they have in
-common, and is still compared with it.
+parameters themselves, so that with them both levels are exact; where it is taken, `study` says. A motor that is too far from
+the others to be one of them is left out of the estimate of what they have in common, and is still compared with it.
 """
 
 from collections.abc import Sequence
@@ -92,6 +91,10 @@ class Population:
         phi = self.solved.mean + self.solved.motor
         variance = np.diagonal(self.solved.motor_covariance, axis1=1, axis2=2)
         return self._natural(phi, variance)
+
+    def of_recordings(self) -> Array:
+        """(R, k) likeliest parameters of each motor as each recording found it, given all recordings."""
+        return self.scale.natural(self.solved.recording)
 
     def alone(self) -> tuple[Array, Array]:
         """(M, k) the same from the recordings of each motor alone, and what was known beforehand.

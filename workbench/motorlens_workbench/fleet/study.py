@@ -16,12 +16,12 @@ from motorlens_workbench.fleet.odd import MakeEffect
 from motorlens_workbench.fleet.population import Population, needed, population
 from motorlens_workbench.fleet.store import Store
 from motorlens_workbench.fleet.summary import Parabola, with_candidates
-from motorlens_workbench.fleet.work import Beside, Job, Task
+from motorlens_workbench.fleet.work import Again, Job, Task
 
 # How many motors are asked what the make's model lacks, and how often.
 ASKED, ADDED = 12, 6
-# A parabola is off by about the square of the share by which the make was off that its recording was fitted beside: all are
-# fitted again until that is less than this share of a mean's deviation, so often at most.
+# A parabola is off by about the square of the share by which it is looked at elsewhere than it is used: all recordings are
+# looked at again until that is less than this share of a mean's deviation, so often at most.
 NEGLIGIBLE, AGAIN = 0.25, 4
 
 Work = Callable[[Sequence[Task]], Iterator[Done[dict[str, Any]]]]
@@ -167,8 +167,8 @@ def study(
             added.append(found.lacks)
     outcomes, found = fitted(entries, f"fitting {len(entries)} recordings of {len(motors)} motors")
     for _ in range(AGAIN):
-        say("fitting them beside the make")
-        before, found = found, beside_make(found, outcomes, template, store, work, progress)
+        say("looking at them again, where their motors are likeliest")
+        before, found = found, where_likeliest(found, outcomes, template, store, work, progress)
         if near(before, found):
             break
     return Fleet(
@@ -177,27 +177,35 @@ def study(
     )  # fmt: skip
 
 
-def beside_make(
+def where_likeliest(
     found: Population, outcomes: Sequence[Outcome], template: Job, store: Store, work: Work,
     progress: Callable[[int, int], None],
 ) -> Population:  # fmt: skip
-    """The population from parabolas about where each motor is likeliest, what is known of its make included.
+    """The population from parabolas about where each motor is likeliest given all recordings: its conditional mode.
 
-    The information that a recording gives where its own estimate ended goes with the error of that estimate: 1/H is what a
-    heating tells, and where H came out small it seems well known. Averages of such parabolas are drawn to one side. About
-    the likeliest values of one of the make, error and information are independent to first order (the conditional
-    expansion of FOCEI; Wang 2007, doi:10.1007/s10928-007-9060-6).
+    Where a recording's own estimate ended, error and information go together: 1/H is what a heating tells, and where H came
+    out small it seems well known. Averages of such parabolas are drawn to one side. So are those of estimates that each know
+    what the make is: a parameter that only all recordings together tell is anywhere in each of them. About the conditional
+    modes, error and information are independent to first order (FOCEI; Wang 2007, doi:10.1007/s10928-007-9060-6).
     """
-    make, used = found.new_motor(), [outcome for outcome in outcomes if outcome.document is not None]
+    used = [outcome for outcome in outcomes if outcome.document is not None]
+    likeliest = found.of_recordings()
     jobs = [
-        (o.entry, Beside(replace(template, path=o.entry.path, file=found.file), make, o.document or {}))
-        for o in used
+        (
+            o.entry,
+            Again(
+                replace(template, path=o.entry.path, file=found.file),
+                dict(zip(found.keys, values, strict=True)),
+                o.document or {},
+            ),
+        )
+        for o, values in zip(used, likeliest.tolist(), strict=True)
     ]
     return population(found.file, observations(results(jobs, store, work, progress)))
 
 
 def near(before: Population, found: Population) -> bool:
-    """Whether the make that recordings were fitted beside is as near to what they say that they need not be again."""
+    """Whether the make as recordings were last looked at is as near to what they say that they need not be again."""
     relative = found.scale.relative
     sd = np.sqrt(np.diagonal(found.solved.covariance))
     return bool(np.all(((found.solved.mean - before.solved.mean) ** 2 <= NEGLIGIBLE * sd)[relative]))

@@ -110,17 +110,18 @@ def with_candidates(file: MotorFile, names: Sequence[str]) -> MotorFile:
     return file
 
 
-def parabola(found: Estimate, names: Sequence[str] = ()) -> Parabola:
+def parabola(found: Estimate, names: Sequence[str] = (), prior: Prior | None = None) -> Parabola:
     """The parabola of an estimate from one recording.
 
     Args:
         found: of one recording.
         names: of candidates, see `candidates`.
+        prior: the parameters that it is a parabola of; None: those that were fitted.
 
     Raises:
         ModelError: the motor cannot be simulated with one of them.
     """
-    file, prior = with_candidates(found.fit.model.file, names), found.fit.prior
+    file, prior = with_candidates(found.fit.model.file, names), prior or found.fit.prior
     switches = tuple(switch_of(name) for name in names)
     prior = prior.joined(_priors(file, names).only(switches))
     point = _point(replace(found.fit.model, file=file), found, prior.keys)

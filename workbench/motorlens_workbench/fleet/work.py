@@ -69,17 +69,17 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """A recording that was fitted, to be fitted again beside what is known of its make.
+class Again:
+    """A recording that was fitted, looked at again where its motor is likeliest given all recordings of the make.
 
     Attributes:
         job: as it was fitted.
-        make: what may be expected of a motor.
+        values: of the motor's parameters there.
         before: the result then.
     """
 
     job: Job
-    make: MotorFile
+    values: Mapping[str, float]
     before: Mapping[str, Any]
 
     @property
@@ -90,16 +90,19 @@ class Beside:
     def key(self) -> str:
         """The name of its result. Raises OSError: the recording cannot be read."""
         return digest(
-            SCHEMA.encode(), self.job.key().encode(), to_toml(self.make).encode(), canonical(self.before)
+            SCHEMA.encode(), self.job.key().encode(), canonical(dict(self.values)), canonical(self.before)
         )
 
     def result(self) -> dict[str, Any]:
-        """The same of the motor, from where it is likelier, see `analysed`."""
-        runs = prepare_all([self.job.recording()], self.make)
-        prior = base_prior(self.make, runs)
-        found = beside(*where_it_ended(self.before["end"], self.make, runs, prior), prior)
-        names = tuple(self.before["candidates"])
-        return {"schema": SCHEMA, "converged": found.converged, "parabola": parabola(found, names).as_json()}
+        """The parabola there; only what belongs to the recording alone, its start and its noise, is fitted."""
+        file = self.job.file
+        runs = prepare_all([self.job.recording()], file)
+        prior = base_prior(file, runs)
+        end = {**self.before["end"], "values": {**self.before["end"]["values"], **self.values}}
+        own = prior.only([key for key in prior.keys if "@" in key])
+        found = beside(*where_it_ended(end, file, runs, prior), own)
+        told = parabola(found, self.before["candidates"], prior)
+        return {"schema": SCHEMA, "converged": found.converged, "parabola": told.as_json()}
 
 
 class Task(Protocol):
