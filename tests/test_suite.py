@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -22,43 +21,59 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
-    for node in ast.walk(tree(path)):
-        if isinstance(node, ast.Call):
-            yield ast.unparse(node.func), node
+@cache
+def calls() -> list[tuple[Path, str, ast.Call]]:
+    """Every call in the tests: where, of what."""
+    return [
+        (path, ast.unparse(node.func), node)
+        for path in FILES
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Call)
+    ]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(HERE)))
-def test_every_program_ends(path: Path) -> None:
-    for name, call in calls(path):
-        where = f"{path.name}:{call.lineno}"
+def at(path: Path, node: ast.expr | ast.stmt) -> str:
+    return f"{path.relative_to(HERE)}:{node.lineno}"
+
+
+def test_every_program_ends() -> None:
+    faults = []
+    for path, name, call in calls():
         given = {keyword.arg for keyword in call.keywords}
         if name in ("subprocess.run", "subprocess.check_output", "subprocess.check_call"):
-            assert "timeout" in given, f"{where}: {name} without a timeout"
-        if name.endswith("Popen"):
-            assert str(path.relative_to(HERE)) in STARTERS, f"{where}: use Program of helpers/processes.py"
+            faults += [f"{at(path, call)}: {name} without a timeout"] * ("timeout" not in given)
+        if name.endswith("Popen") and str(path.relative_to(HERE)) not in STARTERS:
+            faults.append(f"{at(path, call)}: use Program of helpers/processes.py")
         if name.endswith((".communicate", ".wait")) and "process" in name.lower():
-            assert call.args or "timeout" in given, f"{where}: {name} without a limit"
+            faults += [f"{at(path, call)}: {name} without a limit"] * (
+                not call.args and "timeout" not in given
+            )
+    assert not faults, "\n".join(faults)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(HERE)))
-def test_no_loop_sleeps_for_ever(path: Path) -> None:
+def test_no_loop_sleeps_for_ever() -> None:
     """`while not done: sleep` never ends when what it waits for has died; `eventually` does."""
-    if path.name == "processes.py":
-        return
-    for node in ast.walk(tree(path)):
-        if isinstance(node, ast.While) and all(_is_sleep(statement) for statement in node.body):
-            raise AssertionError(f"{path.name}:{node.lineno}: a loop that only sleeps; use eventually")
+    faults = [
+        f"{at(path, node)}: a loop that only sleeps; use eventually"
+        for path in FILES
+        if path.name != "processes.py"
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.While) and all(_is_sleep(statement) for statement in node.body)
+    ]
+    assert not faults, "\n".join(faults)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(HERE)))
-def test_no_limit_judges_the_speed_of_the_machine(path: Path) -> None:
+def test_no_limit_judges_the_speed_of_the_machine() -> None:
     """A limit of a few seconds passes on an idle machine and fails on one that is busy; `LIMIT_S` ends what hangs."""
-    for name, call in calls(path):
-        for keyword in call.keywords:
-            if keyword.arg == "timeout" and isinstance(keyword.value, ast.Constant):
-                limit = keyword.value.value
-                assert limit is None or limit >= LIMIT_S, f"{path.name}:{call.lineno}: {name}, {limit} s"
+    limits = [
+        (f"{at(path, call)}: {name}", keyword.value.value)
+        for path, name, call in calls()
+        for keyword in call.keywords
+        if keyword.arg == "timeout" and isinstance(keyword.value, ast.Constant)
+    ]
+    assert len(limits) > 3
+    faults = [f"{where}, {limit} s" for where, limit in limits if limit is not None and limit < LIMIT_S]
+    assert not faults, "\n".join(faults)
 
 
 def test_examples_are_the_same_whatever_was_imported_before(
