@@ -1,8 +1,11 @@
 """A device on a pseudo-terminal for tests of the runtime: sends frames in a thread, keeps what it sent."""
 
+import fcntl
 import os
 import pty
 import select
+import struct
+import termios
 import threading
 import time
 import tty
@@ -19,6 +22,8 @@ class WireDevice:
         self.master, slave = pty.openpty()
         os.set_blocking(self.master, False)
         tty.setraw(slave)
+        # From here on, what happens at the other end is told (tty_ioctl(4), packet mode).
+        fcntl.ioctl(self.master, termios.TIOCPKT, struct.pack("i", 1))
         self.path = os.ttyname(slave)
         os.close(slave)
         self.n, self.count, self.rate_Hz, self.paced = n, count, rate_Hz, paced
@@ -76,15 +81,19 @@ class WireDevice:
             self.sent = k + 1
 
     def start_when_open(self):
-        """Start sending once somebody has the port open and has had time to flush it."""
+        """Start sending once somebody has opened the port and flushed it: what was sent before would be lost."""
+
+        def flushed():
+            try:
+                return os.read(self.master, 1)[0] & termios.TIOCPKT_FLUSHREAD
+            except OSError:  # nobody has it open, or nothing has happened
+                return False
 
         def wait():
-            poll = select.poll()
-            poll.register(self.master, select.POLLIN)
-            while not self.stop.is_set() and any(event & select.POLLHUP for _, event in poll.poll(0)):
+            while not self.stop.is_set():
+                if flushed():
+                    return self.work()
                 self.stop.wait(0.01)
-            self.stop.wait(0.2)
-            self.work()
 
         self.thread = threading.Thread(target=wait, daemon=True)
         self.thread.start()
