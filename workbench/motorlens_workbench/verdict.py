@@ -9,6 +9,7 @@ from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
+from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
@@ -151,17 +152,17 @@ def _only_together(found: Finding, one: Accepted) -> str:
 
 def _refused(found: Finding, name: str) -> str:
     """A name that the screen points at and that does not hold, with what it does to the errors."""
-    attempt, last = found.outcome.attempts.get(name), found.outcome.last.fitted
-    if attempt is None:
+    try:
+        before, after = (fitted_errors(one.model, one.runs) for one in found.outcome.attempts[name])
+    except (KeyError, ModelError):
         return f"The screen points at {name}, but no model could be fitted with it: it stands for something else."
-    before, after = (fitted_errors(fitted.model, fitted.runs) for fitted in (last, attempt))
     changes = " and ".join(
         f"the error of {channel} goes from {error:.3g} to {after[channel]:.3g} {UNIT_OF[channel]}"
         for channel, error in before.items()
     )
     return (
-        f"The screen points at {name}. Fitted with it, {changes}; one stretch of time does not agree with another on it, or "
-        "no more than chance would, so it may stand for something else."
+        f"The screen points at {name}. Fitted with it, {changes}; but that is no more than chance may do, or one stretch of "
+        "time does not agree with another on it, so it may stand for something else."
     )
 
 

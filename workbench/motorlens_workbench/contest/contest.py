@@ -13,7 +13,7 @@ import numpy as np
 
 from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
-from motorlens_workbench.contest.entering import enter, enter_anew, heaviest
+from motorlens_workbench.contest.entering import Attempt, enter, enter_anew, heaviest
 from motorlens_workbench.contest.needed import beyond_chance, follows, needed_weight, promising
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import consistent, held_score
@@ -39,7 +39,7 @@ class Outcome:
         unnamed: the term without a name that is beyond chance, and that no name explains; None if none is.
         refused: names that the screen points at, but that do not hold when fitted.
         judged: the heaviest that every name fitted in full was, in multiples of the weight that is needed.
-        attempts: the model with each of these that did not hold.
+        attempts: the model in which each name that did not hold was tried, and the same with it.
     """
 
     first: Standing
@@ -49,7 +49,7 @@ class Outcome:
     unnamed: Score | None
     refused: tuple[str, ...]
     judged: Mapping[str, float]
-    attempts: Mapping[str, Fitted]
+    attempts: Mapping[str, Attempt]
 
 
 def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lambda text: None) -> Outcome:
@@ -67,7 +67,7 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     estimated: list[str] = []
     pointed: dict[str, None] = {}
     judged: Mapping[str, float] = {}
-    attempts: Mapping[str, Fitted] = {}
+    attempts: Mapping[str, Attempt] = {}
     nameless: tuple[Standing, list[Accepted]] | None = None
     entered = 0
     # What entered may leave again beside what came later: it must not go on for ever.

@@ -29,6 +29,9 @@ REFITTED = 4
 # Names with which the motor is estimated to the end, of all with which it was estimated from pieces of long recordings.
 ESTIMATED = 6
 
+# The model in which a name was tried, and the same with it.
+Attempt = tuple[Fitted, Fitted]
+
 
 @dataclass(frozen=True)
 class Step:
@@ -40,7 +43,7 @@ class Step:
         refused: names that do not hold once fitted.
         estimated: names with which the motor was estimated from the beginning.
         judged: how heavy each name fitted in full is, in multiples of the weight that is needed.
-        attempts: the model with each of these names that does not hold.
+        attempts: those with names that do not hold.
         unlikely: of what the model with the name leaves, see `unlikely_from`.
     """
 
@@ -49,7 +52,7 @@ class Step:
     refused: tuple[str, ...] = ()
     estimated: tuple[str, ...] = ()
     judged: Mapping[str, float] = field(default_factory=dict)
-    attempts: Mapping[str, Fitted] = field(default_factory=dict)
+    attempts: Mapping[str, Attempt] = field(default_factory=dict)
     unlikely: float = float("inf")
 
     def then(self, other: "Step") -> "Step":
@@ -65,13 +68,13 @@ class Step:
         )
 
 
-Judged = tuple[Mapping[str, float], Mapping[str, Fitted]]
+Judged = tuple[Mapping[str, float], Mapping[str, Attempt]]
 
 
 def heaviest(one: Judged, other: Judged) -> Judged:
     """Of names judged twice, how heavy they were at most, and the attempts of then."""
     (before, attempts), (after, again) = one, other
-    better = {name: fitted for name, fitted in again.items() if after[name] >= before.get(name, 0.0)}
+    better = {name: attempt for name, attempt in again.items() if after[name] >= before.get(name, 0.0)}
     judged = {**before, **{name: max(times, before.get(name, 0.0)) for name, times in after.items()}}
     return judged, {**attempts, **better}
 
@@ -217,7 +220,7 @@ def _judged(here: Standing, one: Score, starts: Sequence[Fitted], own: Sequence[
         if score is None or told.times < 1.0:
             kept = here.unlikely - unlikely_from(here, told.lacking)
             if -log_chance(max(kept, 0.0), 1) < told.needed:
-                return Step(refused=(one.name,), judged=judged, attempts={one.name: end})
+                return Step(refused=(one.name,), judged=judged, attempts={one.name: (here.fitted, end)})
             # Without the name the model fits beyond chance better than where it had ended: it goes on from there.
             return Step(stand(told.lacking, own), judged=judged, unlikely=here.unlikely - kept)
         then, unlikely = stand(end, own), unlikely_from(here, end)

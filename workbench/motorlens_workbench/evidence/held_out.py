@@ -43,11 +43,7 @@ def held_out_errors(book: Ledger, lines: Sequence[Line]) -> list[Array]:
 
 def held_out(book: Ledger, lines: Sequence[Line]) -> dict[str, float]:
     """RMSE of each channel on blocks of time that the parameters were not fitted to."""
-    squares: dict[str, list[Array]] = {}
-    for line, error in zip(lines, held_out_errors(book, lines), strict=True):
-        for c, channel in enumerate(line.run.channels):
-            squares.setdefault(channel, []).append(error[line.run.there[:, c], c] ** 2)
-    return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
+    return _rmse([line.run for line in lines], held_out_errors(book, lines))
 
 
 def fitted_errors(model: Model, runs: Sequence[Run]) -> dict[str, float]:
@@ -56,9 +52,14 @@ def fitted_errors(model: Model, runs: Sequence[Run]) -> dict[str, float]:
     Raises:
         ModelError: it cannot be simulated.
     """
+    along = [predict(model, replace(run, corrections=None), r)[1] for r, run in enumerate(runs)]
+    return _rmse(runs, [run.measured - shown for run, shown in zip(runs, along, strict=True)])
+
+
+def _rmse(runs: Sequence[Run], errors: Sequence[Array]) -> dict[str, float]:
+    """Of each channel over runs, from errors (N, C) of each."""
     squares: dict[str, list[Array]] = {}
-    for r, run in enumerate(runs):
-        error = run.measured - predict(model, replace(run, corrections=None), r)[1]
+    for run, error in zip(runs, errors, strict=True):
         for c, channel in enumerate(run.channels):
             squares.setdefault(channel, []).append(error[run.there[:, c], c] ** 2)
     return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
