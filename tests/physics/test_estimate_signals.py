@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from motorlens_physics.estimate.signals import noise_sd, smoothed
+from motorlens_physics.estimate.signals import level_of, noise_sd, smoothed
 
 
 def test_noise_goes_and_steps_stay():
@@ -25,3 +25,21 @@ def test_noise_goes_and_steps_stay():
 def test_a_signal_without_noise_is_left_alone():
     y = np.sin(np.arange(1000) / 50)
     assert np.abs(smoothed(y) - y).max() < 0.01
+
+
+@pytest.mark.parametrize("walk", [1e-5, 1e-3])
+def test_a_level_that_wanders_is_followed_as_closely_as_its_noise_lets(walk):
+    rng = np.random.default_rng(5)
+    truth = np.cumsum(np.sqrt(walk) * rng.standard_normal(40_000))
+    found = level_of(np.arange(40_000.0), truth + rng.standard_normal(40_000), 5.0)
+    # Of the steady smoother (Durbin and Koopman, section 2.11): the filter's gain solves gain^2 / (1 - gain) = walk.
+    gain = (np.sqrt(walk**2 + 4 * walk) - walk) / 2
+    assert np.mean((found - truth) ** 2) == pytest.approx(gain / (2 - gain), rel=0.25)
+
+
+def test_a_level_that_rests_is_averaged_over_all_of_it_with_gaps_and_all():
+    rng = np.random.default_rng(6)
+    time = np.cumsum(np.where(rng.random(10_000) < 0.01, 50.0, 1.0))
+    found = level_of(time, 20.0 + 0.05 * rng.standard_normal(10_000), 60.0)
+    assert 0 < np.abs(found - 20.0).max() < 5 * 0.05 / np.sqrt(10_000)
+    assert np.array_equal(level_of(time, np.full(10_000, 20.0), 60.0), np.full(10_000, 20.0))

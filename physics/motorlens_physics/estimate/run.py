@@ -20,7 +20,7 @@ from motorlens_physics.estimate.converter import (
     quantisation_step,
     saturated,
 )
-from motorlens_physics.estimate.signals import moving_mean, noise_sd
+from motorlens_physics.estimate.signals import level_of, noise_sd
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording, inputs_of
 from motorlens_physics.simulation import Inputs
@@ -52,7 +52,7 @@ HANGS, EQUAL, NOISY = 100, 0.2, 1e-4
 LONG = 10
 # The start is guessed from this many samples: their median is no outlier.
 FIRST = 3
-# The ambient temperature is averaged over this long.
+# The ambient temperature follows no faster than this: a winding does not follow a draught.
 AMBIENT_S = 60.0
 
 
@@ -255,10 +255,9 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     measured = np.empty((rows, len(used)))
     present = np.ones((rows, len(used)), dtype=bool)
     floor, quantum = np.empty(len(used)), np.empty(len(used))
-    # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other, and a
-    # winding does not follow a draught.
+    # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other.
     ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
-    ambient = moving_mean(time, ambient, AMBIENT_S)
+    ambient = level_of(time, ambient, AMBIENT_S)
     every = max(1, -(-rows // ROWS))
     hung: dict[str, tuple[float, float]] = {}
     ends: dict[str, int] = {}
