@@ -27,8 +27,11 @@ Array = NDArray[np.float64]
 # The disturbances: voltage and load as measured, and a torque that nobody measured; the balance that each enters.
 BALANCES = np.array([0, 1, 1])
 VOLTAGE, LOAD, TORQUE = range(3)
-# How long the unmeasured torque lasts, in samples: the likelihood chooses.
-LASTS = (30.0, 300.0, 3000.0)
+# How long the unmeasured torque lasts, in samples: the likelihood chooses. Where the motor follows within a sample, it may
+# be another one at every sample.
+LASTS, WITHIN_A_SAMPLE = (30.0, 300.0, 3000.0), (1.0,)
+# Updates of the noise at most before two durations are compared: the likelihood of noise on its way says nothing.
+CONVERGED = 30
 # Samples in a stretch of a long recording, and how many stretches the variances are estimated from: as many samples as tell
 # a variance within 2 %.
 STRETCH, STRETCHES = 1024, 6
@@ -208,11 +211,23 @@ def _stretch(space: StateSpace, rows: slice, error: Array) -> StateSpace:
     )  # fmt: skip
 
 
-def lasting(noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_]) -> Noise:
-    """The noise with the slow torque lasting as long as makes the errors likeliest."""
+def lasting(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_], response_s: float
+) -> Noise:
+    """The noise with the unmeasured torque lasting as long as makes the errors likeliest.
+
+    Args:
+        noise: of the run.
+        run: the recording.
+        linear: the motor linearised along it.
+        error: (N, C) of its channels.
+        used: (N, C) samples that count.
+        response_s: how long the motor takes to follow a torque.
+    """
+    shorter = WITHIN_A_SAMPLE if response_s < run.period_s else ()
     tried = [
-        likelier(replace(noise, lasts_s=samples * run.period_s), run, linear, error, used, 6)
-        for samples in LASTS
+        likelier(replace(noise, lasts_s=samples * run.period_s), run, linear, error, used, CONVERGED)
+        for samples in (*shorter, *LASTS)
     ]
     return min(tried, key=lambda one: one[1])[0]
 

@@ -106,6 +106,14 @@ class Errors:
         """Of white errors alone."""
         return float(np.sum(innovations(self.space, self.error[:, :, None]).white ** 2))
 
+    def with_duration(self) -> "Errors":
+        """With an unmeasured torque that lasts as long as is likeliest."""
+        motor = self.frame.model.file.motor
+        # Driven by a voltage, the shaft follows with the mechanical time constant.
+        response_s = motor.J * motor.R_a0 / motor.ke**2
+        noise = lasting(self.noise, self.run, self.linear, self.error, self.used, response_s)
+        return replace(self, noise=noise)
+
     def with_noise(self, updates: int, *, outliers: bool) -> "Errors":
         """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
         noise, _ = likelier(self.noise, self.run, self.linear, self.error, self.used, updates)
@@ -240,7 +248,7 @@ def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers
 
     def one(part: Errors) -> Errors:
         if lasting_too:
-            part = replace(part, noise=lasting(part.noise, part.run, part.linear, part.error, part.used))
+            part = part.with_duration()
         return part.with_noise(updates, outliers=outliers)
 
     return replace(point, parts=tuple(on_all_cores(one, point.parts)))
