@@ -29,9 +29,10 @@ BALANCES = np.array([0, 1, 1])
 VOLTAGE, LOAD, TORQUE = range(3)
 # How long the unmeasured torque lasts, in samples: the likelihood chooses. Where the motor follows within a sample, it may
 # be another one at every sample.
-LASTS, WITHIN_A_SAMPLE = (30.0, 300.0, 3000.0), (1.0,)
-# Updates of the noise at most before two durations are compared: the likelihood of noise on its way says nothing.
-CONVERGED = 30
+LASTS, WITHIN_A_SAMPLE = (30.0, 300.0, 3000.0), 1.0
+# Updates of the noise before two durations are compared. A torque as short as a sample is told from the sensors' white noise
+# only once both have converged.
+ROUGHLY, CONVERGED = 6, 30
 # Samples in a stretch of a long recording, and how many stretches the variances are estimated from: as many samples as tell
 # a variance within 2 %.
 STRETCH, STRETCHES = 1024, 6
@@ -224,10 +225,12 @@ def lasting(
         used: (N, C) samples that count.
         response_s: how long the motor takes to follow a torque.
     """
-    shorter = WITHIN_A_SAMPLE if response_s < run.period_s else ()
+    durations, updates = LASTS, ROUGHLY
+    if response_s < run.period_s:
+        durations, updates = (WITHIN_A_SAMPLE, *LASTS), CONVERGED
     tried = [
-        likelier(replace(noise, lasts_s=samples * run.period_s), run, linear, error, used, CONVERGED)
-        for samples in (*shorter, *LASTS)
+        likelier(replace(noise, lasts_s=samples * run.period_s), run, linear, error, used, updates)
+        for samples in durations
     ]
     return min(tried, key=lambda one: one[1])[0]
 
