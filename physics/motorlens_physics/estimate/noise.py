@@ -225,7 +225,8 @@ def lasting(
         used: (N, C) samples that count.
         response_s: how long the motor takes to follow a torque.
     """
-    durations, updates = LASTS, ROUGHLY
+    durations: tuple[float, ...] = LASTS
+    updates = ROUGHLY
     if response_s < run.period_s:
         durations, updates = (WITHIN_A_SAMPLE, *LASTS), CONVERGED
     tried = [
