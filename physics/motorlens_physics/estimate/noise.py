@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 # The disturbances: voltage and load as measured, and a torque that nobody measured; the balance that each enters.
 BALANCES = np.array([0, 1, 1])
 VOLTAGE, LOAD, TORQUE = range(3)
-# How long the unmeasured torque lasts, in samples: the likelihood chooses. Where the motor follows within a sample, it may
-# be another one at every sample.
+# How long the unmeasured torque lasts, in samples: the likelihood chooses. Where the motor follows within a sample, and no
+# load was measured, it may be another one at every sample.
 LASTS, WITHIN_A_SAMPLE = (30.0, 300.0, 3000.0), 1.0
 # Updates of the noise before two durations are compared. A torque as short as a sample is told from the sensors' white noise
 # only once both have converged.
@@ -227,7 +227,8 @@ def lasting(
     """
     durations: tuple[float, ...] = LASTS
     updates = ROUGHLY
-    if response_s < run.period_s:
+    # Beside a load that was measured it would be that sensor's noise, which is in the inputs.
+    if response_s < run.period_s and "load_torque" not in run.known:
         durations, updates = (WITHIN_A_SAMPLE, *LASTS), CONVERGED
     tried = [
         likelier(replace(noise, lasts_s=samples * run.period_s), run, linear, error, used, updates)
