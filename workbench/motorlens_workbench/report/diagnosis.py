@@ -142,9 +142,9 @@ def _table(document: dict[str, Any]) -> Table:
     for entry in entries:
         rows.append(
             [entry["name"].replace("_", " "), entry["equation"].replace("_", " "), _chance(entry["p"]),
-             _probability(entry), entry["why_not"] or size_text(entry), least_text(entry)]
+             _probability(entry), size_text(entry), least_text(entry), entry["why_not"]]
         )  # fmt: skip
-    headings = ["candidate", "equation", "p", "probability", "size", "would have been seen from"]
+    headings = ["candidate", "equation", "p", "probability", "size", "would have been seen from", "note"]
     top = max((_weight(entry) for entry in entries), default=0.0)
     # All that share the first place, not whichever happens to be listed first.
     strong = [
