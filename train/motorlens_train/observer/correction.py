@@ -21,6 +21,10 @@ MOST_ODDS = 50.0
 # What the innovations of about sixteen windows have in common, beyond twice what chance gives: a load's jump before it is
 # noticed. It widens the speed.
 LAG = 0.125
+# Near standstill a load changes by this share of what it does elsewhere, and a brake gives way within this share of what
+# the motor's torque asked of it: wider, and a rotor that comes loose slowly is less likely than one that rests in a winding
+# that warms.
+HOLDS = 0.1
 # How often something happens to a motor of which its model knows nothing, per second: once an hour.
 UNKNOWN = 1 / 3600
 
@@ -38,16 +42,25 @@ def correct(layout: Layout) -> Program:
     gap = r.apply("le", GAP * layout.period, window["time"])
     believed = 1.0 - gap
     found = signals(layout, window, memory, gap)
-    share = probability(memory["odds"])
+    share = probability(memory["odds"] + layout.odds)
     pace, settings = layout.motor.R_a0 * layout.motor.J / layout.motor.ke**2, layout.settings
-    enter = (window["time"] * (1 / (settings.jump_every * pace))).min(0.5)
+    w, load = layout.at["w"], layout.at["load"]
+    (first, _), (second, _) = branches
+    speed = first[w] + share * (second[w] - first[w])
+    near = speed.abs() <= settings.rest * layout.rated.speed_rad_s
+    starts = (window["time"] * (1 / (settings.jump_every * pace))).min(0.5)
     leave = (window["time"] * (1 / (settings.jump_lasts * pace))).min(0.5)
+    # That a rotor does not rest says nothing of its load: of one that is found turning nobody knows whether that stands
+    # still, and after a rest it is as likely to as at any other time.
+    unrest = 0.5 - memory["calm"]
+    enter = near.select(starts, starts.max(unrest))
     before = share * (1.0 - leave) + (1.0 - share) * enter
+    jump = (settings.load_jump * layout.rated.torque_Nm) ** 2 / pace
     still, changing = (
-        _advanced(layout, r, *mixed(weight, branches), window, ambient, gap, jumps, found)
-        for jumps, weight in (
-            (False, share * leave / (1.0 - before)),
-            (True, share * (1.0 - leave) / before),
+        _advanced(layout, r, *mixed(weight, branches), window, ambient, gap, jumps, rests, found)
+        for jumps, rests, weight in (
+            (near * (HOLDS**2 * jump), 0.0, share * leave / (1.0 - before)),
+            (jump, near, share * (1.0 - leave) / before),
         )
     )
     odds = (before / (1.0 - before)).log() + (changing.log - still.log) * believed
@@ -55,7 +68,7 @@ def correct(layout: Layout) -> Program:
     share = probability(odds)
 
     def both(a: Any, b: Any) -> Any:
-        return a + share * (b - a)
+        return a if a is b else a + share * (b - a)
 
     # What neither branch foretells, by far, has another cause than they know: the states are as unknown as at the start.
     lost = (
@@ -63,18 +76,14 @@ def correct(layout: Layout) -> Program:
     ) * believed
 
     one, two = still.window, changing.window
-    K = [both(a, b) for a, b in zip(one.K, two.K, strict=True)]
+    K, H = ([both(a, b) for a, b in zip(*rows, strict=True)] for rows in ((one.K, two.K), (one.H, two.H)))
+    # Of a rotor that rests, speed and load are forgotten.
+    F = list(one.F)
+    for j in (w, load):
+        F[j] = [both(a, b) for a, b in zip(one.F[j], two.F[j], strict=True)]
     filtered = Window(
-        both(one.error, two.error),
-        both(one.S, two.S),
-        K,
-        one.H,
-        one.F,
-        one.rates,
-        one.near,
-        one.changes,
-        share,
-    )
+        both(one.error, two.error), both(one.S, two.S), K, H, F, one.rates, near, one.changes, share
+    )  # fmt: skip
     kept, hold, shift = told(layout, known, common, window, memory, found, filtered, believed * (1.0 - lost))
     new = [
         ([x + d for x, d in zip(s.x, shift, strict=True)], _either(lost, layout.covariance, s.P))
@@ -86,7 +95,8 @@ def correct(layout: Layout) -> Program:
         memory, both(still.own, changing.own), both(still.told, changing.told) * believed, believed
     )
     after |= {
-        "odds": odds,
+        "odds": odds - layout.odds,
+        "calm": near.select(memory["calm"] + unrest * leave - (1.0 - unrest) * starts, 0.5),
         "restless": memory["restless"] + (1 - math.exp(-1 / 100)) * (surprise - 1.0 - memory["restless"]),
         "drift": drift,
         "unseen": (drift * drift - filtered.S * (4 * LAG / (2 - LAG))).max(0.0),
@@ -136,9 +146,10 @@ class _Step:
 
 def _advanced(
     layout: Layout, r: Recorder, x: list[Any], P: list[list[Any]], window: Mapping[str, Value], ambient: Any, gap: Any,
-    changing: bool, found: Signals,
+    jumps: Any, rests: Any, found: Signals,
 ) -> _Step:  # fmt: skip
-    """One branch over a window."""
+    """One branch over a window: one in which the load walks by a variance of `jumps` a second more or, where `rests` is 1,
+    one in which the rotor rests."""
     n, T, believed = len(layout.states), window["time"], 1.0 - gap
     V = gap.select(window["voltage"], window["sum_voltage"] / T) - (window["hold"] + 0.5) * found.lean
     plain = gap.select(window["current"], window["sum_current"] / T)
@@ -159,30 +170,32 @@ def _advanced(
     short = T.min(GAP * layout.period)
     F: list[list[Any]] = [[0.0] * n for _ in range(n)]
     ahead = list(x)
+    moves = 1.0 - rests
+    # A rotor at rest stays there, its load is whatever the motor's torque asks for, and all that the voltage drives is a
+    # current through the resistance. What it creeps by nobody finds: considered and not corrected, so that no length of
+    # rest makes the resistance surer than the creep lets it be.
+    creep = found.side * found.side * (settings.creep * rated.speed_rad_s) ** 2
+    left = (creep / P[w][w]).min(1.0)
+    creeping = rests * (creep - left * left * P[w][w])
     for j in range(n):
         own, reach = exponential(A[j][j], short if j in (w, load) else T)
         F[j] = [A[j][k] * reach * believed if k != j else own for k in range(n)]
         ahead[j] = x[j] + reach * rates[j]
+        if j in (w, load):
+            F[j], ahead[j] = [entry * moves for entry in F[j]], ahead[j] * moves
+    ahead[load] = ahead[load] + rests * (mean * motor.ke)
+    ahead[w] = ahead[w] + rests * left * x[w]
+    F[w][w] = F[w][w] + rests * left
     # A slope that the load has turned tells nothing of the winding: as the current goes, so does the error of the speed that
     # goes with the winding's (w + R i / ke is what is seen), and where the slope would say otherwise, a jump of the
     # load, late noticed, passes for a warmer or colder winding.
-    turned = found.turned * layout.per_kelvin(x)
+    turned = found.turned * layout.per_kelvin(x) * moves
     before = P[w][theta]
     for j in range(n):
         if j != w:
             P[w][j] = P[j][w] = P[w][j] - turned * P[theta][j]
     P[w][w] = P[w][w] - turned * before - turned * P[w][theta]
-    pace = motor.R_a0 * motor.J / motor.ke**2
-    walk = short * (settings.load_walk * rated.torque_Nm) ** 2
-    if changing:
-        walk = walk + short * (settings.load_jump * rated.torque_Nm) ** 2 / pace
-    walk = walk + gap * rated.torque_Nm**2
-    # Near rest the brake takes what the motor's torque asks for: what was known of the load no longer holds.
-    near = x[w].abs() <= settings.rest * rated.speed_rad_s
-    torque = ((plain.abs() - found.level.sqrt() * (3 * layout.i_sd)).max(0.0) * (2 * motor.ke)).min(
-        layout.sd[load]
-    )
-    P[load][load] = near.select(P[load][load].max(torque * torque), P[load][load])
+    walk = short * ((settings.load_walk * rated.torque_Nm) ** 2 + jumps) + gap * rated.torque_Nm**2
     # It changes at any time of the window: half of it before, half after.
     P[load][load] = P[load][load] + 0.5 * walk
     P = congruence(F, P)
@@ -190,15 +203,15 @@ def _advanced(
     shaken = unsure * T * (motor.ke / motor.J)
     P[w][w] = (
         P[w][w]
-        + steps * (motor.ke * layout.i_sd / motor.J) ** 2
-        + shaken * shaken
+        + (steps * (motor.ke * layout.i_sd / motor.J) ** 2 + shaken * shaken) * moves
+        + creeping
         + (1e-5 * rated.speed_rad_s) ** 2
     )
     P[theta][theta] = P[theta][theta] + walked(layout, T) + unseen(layout, T, gap)
     middle = list(ahead)
     # The mean speed of a window in which the current, and so the acceleration, changes.
-    sag = T * (window["current"] - window["current_start"]) * (motor.ke / motor.J / 12)
-    middle[w] = 0.5 * (ahead[w] + x[w]) - sag
+    sag = T * (window["current"] - window["current_start"]) * (motor.ke / motor.J / 12) * moves
+    middle[w] = 0.5 * (ahead[w] + x[w] * (moves + rests * left)) - sag
     balance, _ = layout.balance(r, middle, mean, V, ambient)
     _, slopes = layout.balance(r, middle, found.weighing, V, ambient)
     error = balance - (window["current"] - window["current_start"]) * motor.L / T
@@ -223,14 +236,16 @@ def _advanced(
     # (Schmidt-Kalman; Jazwinski 1970, ch. 8.4), or each load that jumps, noticed late, would cool the winding.
     # The mean over a gap says nothing about its end.
     best = [PH[j] / S * believed for j in range(n)]
-    fast, own = (w, load), near.max(found.free)
+    fast, own = (w, load), found.free.max(rests)
     K = [best[j] if j in fast else best[j] * own for j in range(n)]
+    K[w] = K[w] * moves
     new = [ahead[j] + K[j] * error for j in range(n)]
     for a, b in layout.pairs:
-        taken = 1.0 if a in fast or b in fast else own * (2.0 - own)
+        taken = moves if a == b == w else 1.0 if a in fast or b in fast else own * (2.0 - own)
         P[a][b] = P[a][b] - best[a] * PH[b] * taken
-    # What it was on average until the rotor came loose tells nothing of what it is from then on.
-    P[load][load] = P[load][load] + 0.5 * walk + near.select(torque * torque, 0.0)
+    # A brake gives way at about the torque that it held.
+    held = mean * (HOLDS * motor.ke)
+    P[load][load] = P[load][load] + 0.5 * walk + rests * (held * held)
     P[w][w] = P[w][w] + gap * rated.speed_rad_s**2
     for j in range(n):
         P[j][j] = P[j][j].max(1e-14 * layout.sd[j] ** 2) if layout.sd[j] else P[j][j]
@@ -250,5 +265,5 @@ def _advanced(
         error / expected.sqrt(),
         white / expected,
         (error * error / S_fresh + S_fresh.log()) * -0.5,
-        Window(error, S, K, H, F, rates, near, changes, 0.0),
+        Window(error, S, K, H, F, rates, 0.0, changes, 0.0),
     )

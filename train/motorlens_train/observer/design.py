@@ -12,6 +12,8 @@ the motor's own equations; every state is stepped exactly in its own derivative.
 A load is constant until it jumps. Two branches run side by side, one in which it stands still and one in which it changes,
 each weighed by how well it foretold the voltage (interacting multiple models; Blom and Bar-Shalom 1988,
 doi:10.1109/9.1299): a jump is believed as far as it is borne out, and between jumps the filter may be sure of the load.
+Near standstill the second is a rotor that rests, held by whatever load its torque asks for: what it takes is then its
+resistance's alone, and shows how warm it is (the locked-rotor test).
 
 Three programs: `accumulate` at every sample, `correct` when a window is full, `read` when a value is asked for. The state is
 stored as its distance from the start, so that a state of zeros is a fresh observer.

@@ -32,8 +32,6 @@ PLAIN = 3.0
 RESTLESS = 1.0
 # A change of the current tells of the inductance beyond this share of the rated one.
 LARGE = 0.3
-# A drop is as large as it gets from this share of the rated current on.
-SATURATED = 0.02
 # Beyond this share of the rated current it is; on the way there the filter may have taken part of it for a speed.
 FIRM = 0.3
 # Scores and information fade with this time constant, s: what was true of the motor ten minutes ago need not be.
@@ -66,13 +64,12 @@ def told(
     H, S, rated = filtered.H, filtered.S, layout.rated
     change = window["current"] - window["current_start"]
     swing = (found.level * (2 * layout.i_sd**2)).sqrt() * CLEAR + LARGE * rated.current_A
-    saturated = (found.weighing * (1 / (SATURATED * rated.current_A))).max(-1.0).min(1.0)
     direct = {
         "hold": found.lean,
         "inertia": 0.0,
         # Only a change that the voltage drives, and far above its noise, tells of the inductance.
         "inductance": beyond(change, swing) * found.free * layout.motor.L / T,
-        "drop": saturated,
+        "drop": found.side,
     }
     # On the way through zero nobody knows what part of a drop is there already.
     limit = FIRM * rated.current_A + 3.0 * found.noise

@@ -24,15 +24,15 @@ WINDOW = (
     "sum_steps", "sum_changes", "sum_lean", "hold",
 )  # fmt: skip
 WIDTH, TIME = len(WINDOW), WINDOW.index("time")
-# Kept from window to window. `odds`: logarithm of the odds that the load is changing; `restless`: the innovations'
-# excess over
-# what was expected, an average over a hundred windows; the noise's `log_level` and `colour`, the last innovation's
-# `error` and
-# the `count` of windows behind them; the `slope` of innovations over the resistance; the voltage as it has `drive`n, and the
-# current it has `driven`; the smallest changes seen, as reciprocals; `drift` of the innovations, and what of it is `unseen`.
+# Kept from window to window. `odds`: logarithm of the odds that the load is changing or the rotor at rest, less those at the
+# start; `restless`: the innovations' excess over what was expected, an average over a hundred windows; the noise's
+# `log_level` and `colour`, the last innovation's `error` and the `count` of windows behind them; the `slope` of innovations
+# over the resistance; the voltage as it has `drive`n, and the current it has `driven`; the smallest changes seen, as
+# reciprocals; `drift` of the innovations, and what of it is `unseen`; how `calm` the load is taken to be should the rotor
+# turn out not to rest: by how much the probability that it changes is less than one half.
 MEMORY = (
     "odds", "restless", "log_level", "colour", "error", "count", "slope", "drive", "driven", "fine_voltage", "fine_current",
-    "last_voltage", "drift", "unseen",
+    "last_voltage", "drift", "unseen", "calm",
 )  # fmt: skip
 BRANCHES = ("steady", "changing")
 

@@ -43,7 +43,8 @@ class ObserverSettings:
         model_sd: what the electrical balance itself is good to, in rated voltages.
         bend_sd: what the corrections for a current that bends within a window are good to, as a share of them.
         rise_K, rise_sd_K: the winding at the start; None: three tenths of the rated rise, 1.5 times that.
-        rest: share of the rated speed below which the load is whatever the motor's torque asks for.
+        rest: share of the rated speed below which a rotor may rest.
+        creep: what a brake lets a rotor at rest turn by, rated speeds: one deviation.
         others: probability, before anything has shown, that the motor is another of its make, and as much that a voltage
             drop of its own is there; above 0 and below a half.
         tolerances: parameters that differ from motor to motor: key and standard deviation, relative. Each is a state that
@@ -64,6 +65,7 @@ class ObserverSettings:
     rise_K: float | None = None
     rise_sd_K: float | None = None
     rest: float = 0.01
+    creep: float = 0.002
     others: float = 0.125
     tolerances: tuple[tuple[str, float], ...] = ()
 
@@ -79,6 +81,7 @@ class Layout:
         start, sd, covariance: what is believed of them before the first sample.
         slow: places of the temperatures, the winding's first.
         pairs: the upper half of a covariance.
+        odds: logarithm of the odds that a motor is found at rest, before anything has shown.
         size: of the observer's state.
     """
 
@@ -119,6 +122,10 @@ class Layout:
                 self.covariance[k][other] = self.covariance[other][k] = ALONG * share * rise_sd**2
             self.covariance[k][k] += (APART * self.rated.rise_K) ** 2
             self.sd[k] = math.sqrt(self.covariance[k][k])
+        # Of a motor that is found near standstill nobody knows whether it rests or creeps: a rest is as likely as all the
+        # speeds below `rest` together, of all that it may be found at.
+        below = 2 * settings.rest * rated.speed_rad_s
+        self.odds = math.log(below / (math.sqrt(2 * math.pi) * self.sd[self.at["w"]]))
         n = len(self.states)
         self.size = (
             len(WINDOW)

@@ -22,7 +22,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     restless = memory["restless"]
     known, common = layout.sensitivities(r), layout.common(r)
     track = track_of(layout, r)
-    changing = probability(memory["odds"])
+    changing = probability(memory["odds"] + layout.odds)
     x, P = mixed(changing, layout.unpack(r))
     n = len(layout.states)
     # What is not known of how the voltage runs between samples is not known of the states.

@@ -20,6 +20,8 @@ ABOVE = 100.0
 LEAST = 0.01
 # What the voltage drives: currents beyond this share of the rated one.
 DRIVEN = 0.05
+# A current drives to one side from this share of the rated one on: a brush drop is then as large as it gets.
+SATURATED = 0.02
 # The level of the noise is an average over so many windows, the settings' level at the start worth 8 of them.
 WINDOWS, PRIOR = 42.0, 8.0
 # The mean of the logarithm of a squared normal deviate is -1.2704 (-ln 2 minus Euler's constant); one window moves the
@@ -51,6 +53,7 @@ class Signals:
         colour: factor by which it weighs more, being coloured.
         share: sum of squared steps over the squared length: 1 / samples.
         slope: mean of the current, A; `weighing` is what of it is beyond its noise and weighs an innovation.
+        side: the side to which the current drives the rotor, -1 or 1, and less where noise hides it.
         free: share of the current's change that the voltage drives.
         turned: change of the slope that the load made, over ke; see `correction`.
         lean: by how much the mean voltage is less if it stood between samples than if it ran linearly, V.
@@ -64,6 +67,7 @@ class Signals:
     share: Any
     slope: Any
     weighing: Any
+    side: Any
     free: Any
     turned: Any
     lean: Any
@@ -95,7 +99,8 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     kept |= {"drive": memory["drive"] + moved, "driven": driven, "slope": slope}
     colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
     turned = (1.0 - free) * (weighing - weighed) * (1 / m.ke)
-    return Signals(level, colour, share, slope, weighing, free, turned, lean, noise, coarse, kept)
+    side = (weighing * (1 / (SATURATED * layout.rated.current_A))).max(-1.0).min(1.0)
+    return Signals(level, colour, share, slope, weighing, side, free, turned, lean, noise, coarse, kept)
 
 
 def noise_memory(memory: Mapping[str, Value], error: Any, told: Any, believed: Any) -> dict[str, Any]:
