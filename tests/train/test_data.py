@@ -73,6 +73,8 @@ def test_noise_of_any_kind_is_half_white_and_up_to_ten_times_either_way() -> Non
     assert 0.05 <= sizes.min() < 0.07 and 8.0 < sizes.max() <= 10.0
     assert np.mean(lags == 0.0) == pytest.approx(0.5, abs=0.08)
     assert 1e-3 <= lags[lags > 0].min() < 1.2e-3 and 8e-3 < lags.max() <= 1e-2
+    loud = [Noise(0.5, 0.05).of_any_kind(np.random.default_rng(k), 10.0) for k in range(400)]
+    assert [k.voltage_V for k in loud] == pytest.approx([5.0] * 400)
 
 
 def test_a_seed_is_a_cycle_and_another_seed_another() -> None:

@@ -15,6 +15,9 @@ from motorlens_train.baselines.method import OUTPUTS
 from motorlens_train.duty_cycles import TrainingDuty, duty_cycle, with_noise
 from motorlens_train.evaluation.scores import counted
 from motorlens_train.evaluation.sensor_file import read_sensor
+from motorlens_train.evaluation.worlds.drive import Drive
+from motorlens_train.evaluation.worlds.judge import judged
+from motorlens_train.evaluation.worlds.world import at, drawn, record
 from motorlens_train.material import noise_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,6 +78,30 @@ def test_with_an_observer_any_start_will_do() -> None:
     assert 0.02 < speed < 0.5 and 0.01 < temperature < 3.0
     assert np.sqrt(np.mean(errors["filters"], axis=0))[1] > 10.0, "filters alone cannot know"
     assert np.all(np.mean(inside, axis=0) > 0.85)
+
+
+@pytest.mark.fit
+def test_filters_alone_are_not_surer_than_the_loudest_noise_lets_them_be() -> None:
+    """On a plant that shares nothing with training: filters do not show the noise, so that intervals must hold at any."""
+    file, sensor = read_motor_file(ROOT / "models/motors/mellah2016.toml"), read_sensor(SENSOR)
+    cells = {
+        "motor": "the file's",
+        "lacks": "nothing",
+        "start": "cold",
+        "noise": "4-10",
+        "colour": "coloured",
+    }
+    held = []
+    for number in range(12):
+        rate = ("200", "500", "1000")[number % 3]
+        world = at(drawn(12, number), **cells, rate=rate)
+        found = judged(sensor, world, record(world, Drive.of(file)))
+        assert not found.confidently_wrong, world
+        held.append(found.covered[0])
+    assert np.mean(held) > 0.95
+    # Nor wider than that noise: a sample's is five volts and as much again from the current, which filters halve.
+    recording = duty_cycle(file, noise_of(file, []), 1000.0, 300.0, np.random.default_rng([97, 0]))
+    assert 1.0 < np.median(sensor.estimate(recording).sds[:, 0]) < 0.5 * np.hypot(4.8, 3.6) / file.motor.ke
 
 
 def test_it_is_rebuilt_by_the_command_in_the_makefile() -> None:

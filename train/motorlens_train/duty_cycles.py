@@ -19,6 +19,9 @@ from motorlens_physics.scenario import Phase, Plan, Scenario, grid, perform, ste
 from motorlens_physics.simulation import Inputs
 from motorlens_train.specification import Array
 
+# The noise of a supply, times what is usual.
+LEAST, MOST = 0.05, 10.0
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -29,10 +32,10 @@ class Noise:
     current_A: float
     lag_s: float = 0.0
 
-    def of_any_kind(self, rng: np.random.Generator) -> "Noise":
-        """From a clean supply to a bad one: times 0.05 to 10, evenly in the logarithm, the current's up to twice apart; half
-        of them coloured, as by filters before a converter, with 1 to 10 ms."""
-        size, apart, lag = np.exp(rng.uniform(np.log([0.05, 0.5, 1e-3]), np.log([10.0, 2.0, 1e-2])))
+    def of_any_kind(self, rng: np.random.Generator, least: float = LEAST) -> "Noise":
+        """From a clean supply to a bad one: times `least` to MOST, evenly in the logarithm, the current's up to twice apart;
+        half of them coloured, as by filters before a converter, with 1 to 10 ms."""
+        size, apart, lag = np.exp(rng.uniform(np.log([least, 0.5, 1e-3]), np.log([MOST, 2.0, 1e-2])))
         coloured = rng.random() < 0.5
         return Noise(
             float(self.voltage_V * size),

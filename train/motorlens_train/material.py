@@ -16,7 +16,7 @@ from motorlens_train.baselines.calibration import calibrated
 from motorlens_train.baselines.extended_kalman import noise_of as noise_found
 from motorlens_train.build import Recipe
 from motorlens_train.data import Cycle, cycle
-from motorlens_train.duty_cycles import Noise, duty_cycle, instants
+from motorlens_train.duty_cycles import LEAST, MOST, Noise, duty_cycle, instants
 from motorlens_train.evaluation.scores import counted
 from motorlens_train.features import motor_bank, recording_bank
 from motorlens_train.observer.design import ObserverSettings, with_observer
@@ -98,7 +98,9 @@ def from_motor(
         settled = observed is not None and (number >= cycles or fifth <= number < 2 * fifth)
         other = np.random.default_rng([seed, number, 1])
         one = relative(file, tolerance, other) if make is None else of_the_make(file, spread, other)
-        noise_here = deviations.of_any_kind(np.random.default_rng([seed, number, 2]))
+        # Filters alone do not show how large the noise is: what a sensor of them states must hold at the largest.
+        least = MOST if observed is None and number < fifth else LEAST
+        noise_here = deviations.of_any_kind(np.random.default_rng([seed, number, 2]), least)
         made[number] = simulated(one, bank, noise_here, rate, [seed, number], unknown, settled)
         done(len(made))
     usual = (12, 8) if observed is None else (6,)
