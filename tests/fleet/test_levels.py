@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from motorlens_workbench.fleet.levels import Data, misfit, solve, spreads
 
@@ -155,3 +156,51 @@ def test_a_spread_that_one_recording_a_motor_tells_is_between_motors():
     whole = np.std(told, ddof=1)
     assert found.sd[0, 0] == pytest.approx(whole**2 / found.omega[0] / np.sqrt(2 * (motors - 1)), rel=0.1)
     assert found.likely[0, 0] == pytest.approx(np.hypot(found.omega[0], found.sd[0, 0]))
+
+
+def one_parameter(motors, spread, noise, seed):
+    """Motors of one recording each that tells one parameter, and what is true of them."""
+    rng = np.random.default_rng(seed)
+    truth = spread * rng.standard_normal(motors)
+    shown = truth + noise * rng.standard_normal(motors)
+    data = Data(
+        np.full((motors, 1, 1), noise**-2), shown[:, None] / noise**2, np.arange(motors), motors,
+        np.array([100.0]), np.ones(motors, dtype=bool),
+    )  # fmt: skip
+    return data, shown, truth
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_spread_that_is_not_told_is_reckoned_with_as_its_posterior_says(seed):
+    """Likelihood of a variance between equal motors whose mean is integrated out, by quadrature over the variance."""
+    motors, noise = 20, 0.1
+    data, shown, _ = one_parameter(motors, 0.03, noise, seed)
+    found = spreads(data)
+    assert found.omega[0] == 0
+    squares = np.sum((shown - shown.mean()) ** 2)
+
+    def density(between):
+        whole = noise**2 + between
+        return whole ** (-(motors - 1) / 2) * np.exp(-0.5 * squares / whole) * noise ** (motors - 1)
+
+    (mass, _), (moment, _) = (
+        quad(f, 0.0, 1.0, points=[0.01], limit=200) for f in (density, lambda a: a * density(a))
+    )
+    assert found.likely[0, 0] == pytest.approx(np.sqrt(moment / mass), rel=0.03)
+
+
+def test_intervals_hold_where_the_spread_is_not_told():
+    """Fleets whose motors differ by 0.7 times the deviation of a recording: most do not tell by how much."""
+    inside, untold = [], 0
+    for seed in range(300):
+        data, _, truth = one_parameter(25, 0.07, 0.1, seed)
+        found = spreads(data)
+        if found.omega[0] > 0:
+            continue
+        untold += 1
+        solved = solve(data, found.likely[0], found.psi)
+        off = (solved.mean + solved.motor)[:, 0] - truth
+        inside.append(np.mean(np.abs(off) < 1.96 * np.sqrt(solved.motor_covariance[:, 0, 0])))
+    assert untold > 200
+    # By fleets, each with one spread: +- 0.3 %. An even prior of the spread itself gives 93.2 %.
+    assert 0.945 < np.mean(inside) < 0.98
