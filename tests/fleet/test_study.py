@@ -23,8 +23,8 @@ OWN = np.array([0.01, 0.002, 0.1, 0.02, 0.004])
 MOTORS, EACH, DRAGS = 24, 3, 11
 
 
-def recorded(folder: Path, gain: float) -> tuple[list[Entry], dict[str, Parabola], float]:
-    """Recordings of motors of one make by a tachometer with a gain, and their mean ke; one of the motors drags."""
+def recorded(folder: Path, gains: np.ndarray) -> tuple[list[Entry], dict[str, Parabola], float]:
+    """Recordings of motors of one make, each by a tachometer with a gain, and their mean ke; one of the motors drags."""
     rng, null = np.random.default_rng(4), np.array([*MAKE, 0.0, 1.0])
     width = OWN * np.array([*MAKE, 1.0, 1.0])
     # A tachometer that shows too much and a small ke are alike, but for what the start shows.
@@ -34,7 +34,9 @@ def recorded(folder: Path, gain: float) -> tuple[list[Entry], dict[str, Parabola
     information, root = np.linalg.inv(covariance), np.linalg.cholesky(covariance)
     entries, parabolas, ke = [], {}, []
     for m in range(MOTORS):
-        truth = np.array([*MAKE * np.exp(SPREAD * rng.standard_normal(3)), 0.3 if m == DRAGS else 0.0, gain])
+        truth = np.array(
+            [*MAKE * np.exp(SPREAD * rng.standard_normal(3)), 0.3 if m == DRAGS else 0.0, gains[m]]
+        )
         ke.append(truth[1])
         for r in range(EACH):
             path = folder / f"m{m:02d}-{r}.csv"
@@ -45,8 +47,10 @@ def recorded(folder: Path, gain: float) -> tuple[list[Entry], dict[str, Parabola
     return entries, parabolas, float(np.mean(ke))
 
 
-def studied(folder: Path, gain: float):
-    entries, parabolas, ke = recorded(folder, gain)
+def studied(folder: Path, gain: float, spread: float = 0.0):
+    half = np.random.default_rng(0).standard_normal(MOTORS // 2)
+    gains = gain + spread * np.concatenate([half, -half])
+    entries, parabolas, ke = recorded(folder, gains)
 
     def work(jobs):
         for number, job in enumerate(jobs):
@@ -74,6 +78,20 @@ def test_a_fault_of_the_sensors_of_all_is_fitted_along_and_is_no_part_of_the_mak
     assert "sensor" not in to_toml(fleet.make)
     assert fleet.make.motor.R_a0 == pytest.approx(mean[fleet.population.keys.index("R_a0")])
     # Nobody is odd for what all show; the one that drags is.
+    assert [fleet.population.motors[m] for m in fleet.odd] == [f"m{DRAGS:02d}"]
+
+
+@pytest.mark.fit
+def test_a_fault_that_is_another_one_in_each_motor_is_part_of_the_make(tmp_path):
+    """On-board sensors: their gains are 1 in the mean, so that neither half of the motors outvotes the other."""
+    fleet, _, ke = studied(tmp_path, 1.0, 0.03)
+    assert [fault.name for fault in fleet.faults] == ["speed_sensor_gain"] and fleet.effects == ()
+    (sensor,), knowledge = fleet.make.sensors, fleet.make.knowledge[KEYS[4]]
+    # 24 draws: the mean is known to 0.03 / sqrt(24), the spread to 15 %.
+    assert abs(sensor.gain - 1.0) < 3 * 0.03 / np.sqrt(MOTORS)
+    assert 0.03 * 0.6 < knowledge.sd < 0.03 * 1.5
+    mean, _ = fleet.population.mean()
+    assert mean[fleet.population.keys.index("ke")] == pytest.approx(ke, rel=0.002)
     assert [fleet.population.motors[m] for m in fleet.odd] == [f"m{DRAGS:02d}"]
 
 

@@ -107,19 +107,26 @@ def make_effect(wide: Directions, data: Data, psi: Array) -> MakeEffect | None:
     # Each motor by itself: what all have in common has already moved what they have in common.
     apart = wide.padded(np.full(wide.free, MOST))
     off = misfit(wide.data(data, 0.0), apart, wide.padded(psi), wide.scale.limits())
-    told = np.diagonal(off.information, axis1=1, axis2=2) > TELLS**-2
-    helps = (off.gains() > HELPS_ONE) & told
+    told = (np.diagonal(off.information, axis1=1, axis2=2) > TELLS**-2)[data.belongs]
+    each, signs = off.gains()[data.belongs], np.sign(off.score[data.belongs])
+    helps = (each > HELPS_ONE) & told
     score, table = off.score[data.belongs].sum(axis=0), off.information[data.belongs].sum(axis=0)
-    gains = replace(off, score=score[None], information=table[None]).gains()[0]
-    same = helps[data.belongs] & (np.sign(off.score[data.belongs]) == np.sign(score))
-    counted = np.count_nonzero(told[data.belongs], axis=0)
-    share = np.count_nonzero(same, axis=0) / np.maximum(counted, 1)
-    enough = float(chi2.isf(FALSE_ALARMS / len(candidates), 1))
-    asked = [
-        k for k in candidates
-        if 2 * counted[k] >= len(same) and share[k] > MOST_OF_THEM and gains[k] > enough
-    ]  # fmt: skip
-    if not asked:
+    together = replace(off, score=score[None], information=table[None]).gains()[0]
+    counted = np.count_nonzero(told, axis=0)
+    # What all have alike; else what they have, each in its own way: another offset in each sensor.
+    for same, gains, free in (
+        (helps & (signs == np.sign(score)), together, np.ones_like(counted)),
+        (helps, np.sum(each * told, axis=0), counted),
+    ):
+        share = np.count_nonzero(same, axis=0) / np.maximum(counted, 1)
+        enough = chi2.isf(FALSE_ALARMS / len(candidates), np.maximum(free, 1))
+        asked = [
+            k for k in candidates
+            if 2 * counted[k] >= len(same) and share[k] > MOST_OF_THEM and gains[k] > enough[k]
+        ]  # fmt: skip
+        if asked:
+            break
+    else:
         return None
     best = max(asked, key=lambda k: float(gains[k]))
     size = np.sqrt(np.diagonal(table))

@@ -152,10 +152,17 @@ def population(file: MotorFile, observations: Sequence[Observation]) -> Populati
     )  # fmt: skip
 
 
+def varies(found: Population, effect: MakeEffect) -> bool:
+    """Whether motors of the make differ in an effect that is in the motor file."""
+    return effect.key in found.keys and bool(found.spreads.omega[found.keys.index(effect.key)] > 0)
+
+
 def needed(found: Population, effect: MakeEffect) -> bool:
-    """Whether the make has more of an effect that is in the motor file than chance would make of none."""
+    """Whether the make has more of an effect of the motor file than chance would make of none, or motors differ in it."""
     if effect.key not in found.keys:
         return False
+    if varies(found, effect):
+        return True
     k, null = found.keys.index(effect.key), found.file.meaning(effect.key).null
     assert null is not None
     off = found.solved.mean[k] - (null - found.scale.centre[k]) / found.scale.size[k]

@@ -13,7 +13,7 @@ from motorlens_workbench.fleet.directions import Observation
 from motorlens_workbench.fleet.history import Series, histories
 from motorlens_workbench.fleet.manifest import Entry
 from motorlens_workbench.fleet.odd import MakeEffect
-from motorlens_workbench.fleet.population import Population, needed, population
+from motorlens_workbench.fleet.population import Population, needed, population, varies
 from motorlens_workbench.fleet.store import Store
 from motorlens_workbench.fleet.summary import Parabola, with_candidates
 from motorlens_workbench.fleet.work import Again, Job, Task
@@ -45,7 +45,7 @@ class Fleet:
         population: of the recordings that could be used.
         outcomes: of all recordings, in the order of the entries.
         effects: that the motor file lacked and most motors have; they are in `population.file`.
-        faults: of the sensors with which all were recorded; likewise, but no part of the make.
+        faults: of the sensors with which all were recorded; likewise; part of the make where its motors differ in it.
         histories: of all motors with enough dated recordings.
         diagnoses: motor -> what is missing from the make in it, of those that were diagnosed, see `diagnosis`.
     """
@@ -59,8 +59,12 @@ class Fleet:
 
     @property
     def make(self) -> MotorFile:
-        """The motor file of the make: what may be expected of a motor that was not recorded yet, and not of its sensors."""
-        file, names = self.population.new_motor(), {fault.name for fault in self.faults}
+        """The motor file of the make: what may be expected of a motor that was not recorded yet.
+
+        A sensor's fault that all recordings share is the recorder's; one in which motors differ comes with each motor.
+        """
+        file = self.population.new_motor()
+        names = {fault.name for fault in self.faults if not varies(self.population, fault)}
         known = {key: what for key, what in file.knowledge.items() if key.rpartition(".")[0] not in names}
         sensors = tuple(sensor for sensor in file.sensors if sensor.name() not in names)
         return replace(file, sensors=sensors, knowledge=known)
