@@ -44,30 +44,31 @@ def main() -> int:
     out.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         truth_file = Path(folder) / "truth.csv"
-        drive = subprocess.Popen(
+        with subprocess.Popen(
             [
                 MOTORLENS, "drive", "--motor", MOTOR, "--scenario", "duty", "--duration", str(DEVICE_S),
                 "--rate", str(RATE_HZ), "--speedup", str(SPEEDUP), "--rows-per-frame", "20", "--seed", str(SEED),
                 "--truth", truth_file,
             ],
             stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        assert drive.stdout is not None
-        port = drive.stdout.readline().strip()
-        if not port:
-            return drive.wait()
-        print(
-            f"simulated drive on {port}: {DEVICE_S} s of duty at {RATE_HZ} Hz, {SPEEDUP} times faster than real time\n"
-        )
-        truth = read_recording(truth_file)
-        sensor = subprocess.Popen(
-            [MOTORLENS, "run", "--source", f"pty://{port}", "--sensor", SENSOR, "--publish", "stdout:", "--rate", "2",
-             "--reconnect", "0", "--record", out / "demo_samples.csv"],
-            stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        assert sensor.stdout is not None
-        rows = follow(sensor.stdout, truth)
-        status = sensor.wait() or drive.wait()
+        ) as drive:  # fmt: skip
+            assert drive.stdout is not None
+            port = drive.stdout.readline().strip()
+            if not port:
+                return drive.wait()
+            print(
+                f"simulated drive on {port}: {DEVICE_S} s of duty at {RATE_HZ} Hz, {SPEEDUP} times faster than real time\n"
+            )
+            truth = read_recording(truth_file)
+            # It ends before the drive does, which at its end is gone as one that was unplugged.
+            with subprocess.Popen(
+                [MOTORLENS, "run", "--source", f"pty://{port}", "--sensor", SENSOR, "--publish", "stdout:", "--rate", "2",
+                 "--duration", str(DEVICE_S - 1), "--record", out / "demo_samples.csv"],
+                stdout=subprocess.PIPE, text=True,
+            ) as sensor:  # fmt: skip
+                assert sensor.stdout is not None
+                rows = follow(sensor.stdout, truth)
+        status = sensor.returncode or drive.returncode
     if not rows:
         print("no estimate came; see the messages above", file=sys.stderr)
         return status or 1

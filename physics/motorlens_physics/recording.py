@@ -107,9 +107,8 @@ def read_recording(
     if beside.exists():
         chosen = tomllib.loads(beside.read_text(encoding="utf-8")).get("columns", {}) | chosen
     table = read_table(path)
-    where = str(path) if table.named else f"{path} (it has no heading line)"
     columns = understand(table.headings, chosen, str(path))
-    require(columns, ("time", "voltage"), table.headings, where)
+    require(columns, ("time", "voltage"), table.headings, str(path))
     used = sorted({index for column in columns.values() for index in column.uses})
     numbers = table.numbers(used)
     if columns["time"].index in table.dated and not columns["time"].formula:

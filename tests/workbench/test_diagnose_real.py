@@ -1,5 +1,6 @@
 """What the diagnosis says of real motors, against what is documented of them (README of the recordings)."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from motorlens_physics.recording import read_recording
 from motorlens_workbench.diagnose import diagnose
 from motorlens_workbench.driven import driven
 from motorlens_workbench.evidence.held_out import held_out
+from motorlens_workbench.report.json import least_text, to_json
 from motorlens_workbench.verdict import settle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -29,6 +31,16 @@ def test_a_drop_of_the_driver_is_among_what_a_wheel_motor_lacks():
     found, verdict = diagnosed([FOLDER / "regbot" / "robot_11_L.csv"], FOLDER / "regbot" / "command.toml")
     assert verdict.kind in ("group", "unknown")
     assert {"dead_time", "brush_voltage_drop"} <= set(verdict.groups[0])
+    # What the verdict offers, what was tried and refused, and what would not have been seen are told apart.
+    blind = next(text for text in verdict.untold if text.startswith("Not even")).partition(": ")[2]
+    refused = [text for text in verdict.untold if text.startswith("The screen points at")]
+    told = [name for group in verdict.groups for name in group] + blind.rstrip(".").split(", ")
+    told += [re.split("[ ,.]", text)[4] for text in refused]
+    assert sorted(told) == sorted(set(told))
+    # The thermal equation is not tested, so no size of an effect in it would have been seen.
+    document = to_json(found, verdict, None, ["rec.csv"], "motor.toml")
+    thermal = [entry for entry in document["candidates"] if entry["equation"] == "thermal"]
+    assert thermal and all(least_text(entry) == "no size" for entry in thermal)
     first, last = found.outcome.first, found.outcome.last
     before, after = held_out(first.book, first.lines), held_out(last.book, last.lines)
     assert after["speed"] < 0.75 * before["speed"] and after["current"] < 0.75 * before["current"]

@@ -219,6 +219,22 @@ def test_a_detectable_size_is_detected_as_often_as_it_says():
     assert 0.8 < np.mean(reached) / 15.0 < 1.2
 
 
+def test_what_the_recordings_do_not_show_is_detectable_at_no_size_that_it_may_have():
+    """Of a column that the base parameters explain but for rounding the information says thousands of typical sizes."""
+    rng = np.random.default_rng(8)
+    base, seen, rounding = (rng.standard_normal((ROWS, 1)) for _ in range(3))
+    unseen = 1e-3 * base + 1e-5 * rounding
+    book = book_of(base, [unseen, seen], rng.standard_normal(ROWS))
+    named = replace(score_of(book).entry.hypothesis, name="named", kind="effect")
+    there, hidden = (
+        replace(score, entry=replace(score.entry, hypothesis=named))
+        for score in (score_of(book, 1), score_of(book))
+    )
+    assert 1e3 < score_of(book).detectable(15.0) < np.inf
+    assert hidden.detectable(15.0) == np.inf
+    assert there.detectable(15.0) == score_of(book, 1).detectable(15.0) < 1.0
+
+
 def test_errors_of_a_fifth_of_all_folds_are_those_of_parameters_fitted_to_the_others(problem):
     """Held out by hand: the regression on the other blocks, of which the prediction of a fold is made."""
     from types import SimpleNamespace

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,35 @@ def test_what_cannot_be_used_shows_its_columns_all_the_same(tmp_path, capsys):
     said = capsys.readouterr()
     assert "no voltage column" in said.err and said.err.count("\n") == 1 and "<b>U</b>" in said.out
     assert "<b>" not in page.read_text().partition("<body>")[2].partition("<script")[0]
+
+
+def test_no_heading_line_gets_all_that_is_lacking_at_once_and_a_command_that_reads_it(tmp_path, capsys):
+    path = tmp_path / "my run.csv"
+    path.write_text("".join(f"{k / 100},{23.5 * (k % 2)},{k / 8},{2.5 * k},20\n" for k in range(50)))
+    for command in (
+        ["look", str(path)],
+        ["infer", str(path), "--sensor", "mellah2016", "-o", str(tmp_path / "x.csv")],
+    ):
+        assert main(command) == 1
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "no time column (time_s) and no voltage column (voltage_V)" in said
+        words = shlex.split(said.rpartition("for example: ")[2])
+        assert words[0] == "motorlens" and main(words[1:]) == 0
+        assert "50 samples" in capsys.readouterr().out
+    # What has been chosen stays.
+    assert main(["look", str(path), "--column", "current=#2"]) == 1
+    words = shlex.split(capsys.readouterr().err.rpartition("for example: ")[2])
+    assert "current=#2" in words and "voltage=#2" not in words and main(words[1:]) == 0
+
+
+def test_nothing_is_never_less_than_nothing(tmp_path, capsys):
+    """A current of 0 whose sensor counts the other way, and what a program writes as -0."""
+    write(tmp_path / "r.csv", ["time_s", "voltage_V", "current_A"], [(k / 100, k, "-0.0") for k in range(50)])
+    assert main(["look", str(tmp_path / "r.csv"), "--json", str(tmp_path / "r.json")]) == 0
+    assert (
+        "-0" not in capsys.readouterr().out.replace("-0.0", "")
+        and "-0" not in (tmp_path / "r.json").read_text()
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """From the outcome of a contest to a verdict: what is missing, how sure that is, and what the recordings cannot tell."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,7 +77,7 @@ def settle(found: Finding) -> Verdict:
         equation,
         probability,
         shape,
-        tuple(limits(found, [one for one, _ in held], times)),
+        tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())}, times)),
     )
 
 
@@ -166,12 +166,13 @@ def _refused(found: Finding, name: str) -> str:
     )
 
 
-def limits(found: Finding, held: Sequence[Accepted], times: float) -> list[str]:
-    """What the recordings cannot tell, in words.
+def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str], times: float) -> list[str]:
+    """What the recordings cannot tell, in words; of each name at most one thing.
 
     Args:
         found: by the contest.
         held: names that stand.
+        offered: these and what they cannot be told from: the verdict speaks of them.
         times: how many times the noise the last model leaves.
     """
     said = [one.sentence for one in found.dead]
@@ -196,11 +197,22 @@ def limits(found: Finding, held: Sequence[Accepted], times: float) -> list[str]:
         said.append(
             "The ambient temperature was not measured: an offset of the temperature sensor cannot be told from it."
         )
-    seen = seen_named(found.outcome.last)
-    blind = sorted(name for name, score in seen.items() if detectable(found, score) > 3)
+    refused = [
+        name
+        for name in dict.fromkeys(found.outcome.refused)
+        if name not in offered and not name.endswith("changes at once")
+    ]
+    unspoken = {
+        name: score
+        for name, score in seen_named(found.outcome.last).items()
+        if name not in (*offered, *refused)
+    }
+    blind = sorted(name for name, score in unspoken.items() if detectable(found, score) > 3)
     if blind:
         said.append(
-            "Not even three times the typical size would have been seen of: " + ", ".join(blind) + "."
+            "Not even three times the typical size, or the largest that it can have, would have been seen of: "
+            + ", ".join(blind)
+            + "."
         )
     if times > CRITERIA.follows:
         said.append(
@@ -208,7 +220,7 @@ def limits(found: Finding, held: Sequence[Accepted], times: float) -> list[str]:
             "nobody measured, or something that no hypothesis explains."
         )
     said += [_only_together(found, one) for one in held if not _told_alone(found, one)]
-    said += [_refused(found, name) for name in found.outcome.refused if not name.endswith("changes at once")]
+    said += [_refused(found, name) for name in refused]
     return [*said, *findings(_as_fit(found)).sentences]
 
 

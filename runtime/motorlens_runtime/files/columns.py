@@ -44,6 +44,8 @@ _TIES = {
     ("voltage", "1"): ("{}*SUPPLY_V/100", "multiply it by the supply"),
     ("load_torque", "N"): ("{}*0.1[m]", "multiply it by the lever"),
 }
+# Of a file without a heading line, for an example.
+_USUAL_ORDER = ("time", "voltage", "current", "speed", "temperature")
 _DUTY = re.compile(r"duty|pwm|tastgrad", re.IGNORECASE)
 _SUPPLY = re.compile(r"bat|supply|bus|vdc|dc.?link|versorgung", re.IGNORECASE)
 
@@ -158,26 +160,41 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
 def require(
     found: Mapping[str, Column], quantities: Sequence[str], headings: Sequence[str], where: str
 ) -> None:
-    """Refuse a recording that lacks one of `quantities`, saying which columns it has and how to map one."""
-    for quantity in quantities:
-        if quantity not in found:
-            like = candidates(quantity, headings)
-            name = headings[0] if headings and headings[0] == "#1" else "NAME"
-            cure = f"map one with --column {quantity}={name}"
-            if like:
-                cure = f"it may be {' or '.join(like)}: --column {shlex.quote(f'{quantity}={like[0]}')}"
-            duty = next((h for h in headings if _DUTY.search(h)), None)
-            supply = next((h for h in headings if _SUPPLY.search(h)), None)
-            if quantity == "voltage" and duty and not (supply or like):
-                share = f"{duty}*24[V]" if unit_in(duty) else f"{duty}/255*24[V]"
-                cure = f"duty times supply, if that is 24 V, is --column 'voltage={share}'; add --voltage-commanded"
-            if quantity == "voltage" and duty and supply:
-                share = f"{duty}*{supply}/100" if unit_in(duty) else f"{duty}/255*{supply}"
-                full = "" if unit_in(duty) else ", if 255 is full duty"
-                cure = f"duty times supply is --column 'voltage={share}'{full}; add --voltage-commanded, it was not measured"
-            raise DataError(
-                f"{where}: no {quantity} column ({canonical_name(quantity)}); it has {', '.join(headings)}; {cure}"
-            )
+    """Refuse a recording that lacks any of `quantities`, saying which columns it has and how to map all that it lacks."""
+    lacking = [quantity for quantity in quantities if quantity not in found]
+    if not lacking:
+        return
+    lacks = " and ".join(f"no {quantity} column ({canonical_name(quantity)})" for quantity in lacking)
+    if list(headings[:1]) == ["#1"]:
+        # Nothing says what the others hold: one order that occurs, to be changed.
+        chosen = {quantity: column.heading for quantity, column in found.items()}
+        open_ = [quantity for quantity in _USUAL_ORDER if quantity not in chosen]
+        free = [heading for heading in headings if heading not in chosen.values()]
+        example = [f"{q}={name}" for q, name in (*chosen.items(), *zip(open_, free, strict=False))]
+        command = shlex.join(["motorlens", "look", where, *(w for one in example for w in ("--column", one))])
+        raise DataError(
+            f"{where}: it has no heading line, so {lacks}; it has {', '.join(headings)}; say which column holds what, for "
+            f"example: {command}"
+        )
+    cures = "; ".join(_cure(quantity, headings) for quantity in lacking)
+    raise DataError(f"{where}: {lacks}; it has {', '.join(headings)}; {cures}")
+
+
+def _cure(quantity: str, headings: Sequence[str]) -> str:
+    """How a quantity that no heading names may be mapped."""
+    duty = next((h for h in headings if _DUTY.search(h)), None) if quantity == "voltage" else None
+    supply = next((h for h in headings if _SUPPLY.search(h)), None)
+    percent = duty is not None and unit_in(duty) is not None
+    if duty and supply:
+        share = f"{duty}*{supply}/100" if percent else f"{duty}/255*{supply}"
+        full = "" if percent else ", if 255 is full duty"
+        return f"duty times supply is --column 'voltage={share}'{full}; add --voltage-commanded, it was not measured"
+    if like := candidates(quantity, headings):
+        return f"it may be {' or '.join(like)}: --column {shlex.quote(f'{quantity}={like[0]}')}"
+    if duty:
+        share = f"{duty}*24[V]" if percent else f"{duty}/255*24[V]"
+        return f"duty times supply, if that is 24 V, is --column 'voltage={share}'; add --voltage-commanded"
+    return f"map one with --column {quantity}=NAME"
 
 
 def parse_mapping(arguments: Sequence[str]) -> dict[str, str]:

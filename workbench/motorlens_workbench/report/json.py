@@ -244,19 +244,15 @@ def next_command(document: Mapping[str, Any]) -> str:
 def size_text(entry: Mapping[str, Any]) -> str:
     """The size of a candidate with its deviation and unit; "not seen" where it is within its own uncertainty."""
     size = next(iter(entry["parameters"].values()), None)
-    if (
-        size is None
-        or not np.isfinite(size["sd"])
-        or abs(size["value"]) > 1e4 * (entry["minimum_detectable"] or np.inf)
-    ):
+    if size is None or not np.isfinite(size["sd"]):
         return "not seen"
-    if entry["probability"] == 0.0 and entry["p"] > 0.01:
+    if entry["probability"] == 0.0 and (entry["p"] > 0.01 or entry["minimum_detectable"] is None):
         return "not seen"
     return f"{size['value']:.3g} +- {size['sd']:.2g} {_unit(size)}".rstrip()
 
 
 def least_text(entry: Mapping[str, Any]) -> str:
-    """The smallest size that would have been seen, with its unit."""
+    """The smallest size that would have been seen, with its unit; "no size" where none that it may have would."""
     size = next(iter(entry["parameters"].values()), {"unit": ""})
     least = entry["minimum_detectable"]
     return "no size" if least is None else f"{least:.3g} {_unit(size)}".rstrip()

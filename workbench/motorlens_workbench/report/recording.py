@@ -143,7 +143,8 @@ def _extremes(recording: Recording) -> dict[str, tuple[float, float]]:
     for quantity, values in recording.channels.items():
         there = values[np.isfinite(values)]
         if len(there):
-            found[quantity] = (float(there.min()), float(there.max()))
+            # No -0, which a negated channel's 0 is.
+            found[quantity] = (float(there.min()) + 0.0, float(there.max()) + 0.0)
     return found
 
 
