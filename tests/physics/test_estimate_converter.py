@@ -6,6 +6,7 @@ import pytest
 from motorlens_physics.estimate.converter import (
     Converter,
     converter_of,
+    converter_sd,
     leaning,
     quantisation_step,
     saturated,
@@ -78,3 +79,19 @@ def test_a_plateau_inside_the_range_is_not_the_end_of_it():
     for steady in (300.0, 301.3, 417.7, 700.0):
         y = np.round(steady * (1 - np.exp(-time_s)) / 0.25) * 0.25
         assert not saturated(y).any()
+
+
+@pytest.mark.parametrize("held", [1, 20, 400])
+@pytest.mark.parametrize("sd", [0.0, 0.03, 0.09, 0.15, 0.3])
+def test_a_converters_error_tells_as_little_as_white_noise_of_its_deviation(sd, held):
+    """Of signals that stay for a time: the mean of so many errors, drawn, is as far off as that of white noise is."""
+    rng = np.random.default_rng(5)
+    samples = 200 * max(held, 100)
+    found, drawn = [], []
+    for _ in range(30):
+        truth = np.repeat(rng.uniform(-20 * STEP, 20 * STEP, samples // held), held)
+        noise = sd * rng.standard_normal(samples)
+        reading = np.round((truth + noise) / STEP) * STEP
+        found.append(converter_sd(reading))
+        drawn.append(np.mean(reading - truth - noise - converter_of(reading).bias(truth)) * np.sqrt(samples))
+    assert 0.65 < np.median(found) / np.std(drawn) < 1.7

@@ -8,9 +8,10 @@ quantization noise, doi:10.1109/TCOM.1964.1088973.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.signals import noise_sd
+from motorlens_physics.estimate.signals import noise_sd, smoothed
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,8 @@ ROUNDING = 1e-9
 MOST = 0.5
 # Steps to the end of the range of the coarsest converter that is told, and how near to a whole number of steps that is.
 COARSEST_RANGE, WHOLE = 256, 0.2
+# Harmonics of a converter's error that are looked at.
+HARMONICS = 20
 # Standard deviation of a lean that is computed from the noise; samples in a piece.
 BELIEF, PIECE = 0.1, 50
 
@@ -32,7 +35,7 @@ def quantisation_step(y: Array) -> float:
     A quantised channel has few distinct values, all whole multiples of the smallest difference between two of them.
     """
     values = np.unique(y[np.isfinite(y)])
-    if len(values) < 3 or len(values) > FEW * len(y):
+    if len(values) < 2 or len(values) > FEW * len(y):
         return 0.0
     steps = np.diff(values)
     step = float(np.median(steps[steps < 2.5 * np.min(steps)]))
@@ -116,3 +119,41 @@ def leaning(converter: Converter, truth: Array, error: Array) -> Converter:
     variance = np.sum(np.add.reduceat(left, np.arange(0, len(left), PIECE)) ** 2) / power**2
     lean = converter.lean + more * BELIEF**2 / (BELIEF**2 + variance)
     return replace(converter, lean=float(np.clip(lean, 0.0, MOST)))
+
+
+def converter_sd(y: Array) -> float:
+    """Standard deviation of white noise that tells as little as the error of a channel's converter; 0 if it has none.
+
+    Noise makes the error another one at every sample. What it does not blur, and `Converter.bias` does not know, stays while
+    the signal stays between two levels, and all that time counts as one sample: Gray and Stockham (1993), Dithered
+    quantizers, doi:10.1109/18.256489.
+
+    Args:
+        y: (N,) as recorded; samples that are missing are not finite.
+
+    >>> held, noise = np.repeat(np.arange(40) * 7.3, 100), np.random.default_rng(0).standard_normal(4000)
+    >>> [round(converter_sd(np.round(held + sd * noise)) * 12**0.5, 1) for sd in (0.1, 0.5)]
+    [3.6, 1.0]
+    """
+    step = quantisation_step(y)
+    if not step:
+        return 0.0
+    there = y[np.isfinite(y)]
+    stays = len(there) / (1 + _moves(smoothed(there, step), step))
+    # Harmonics of the mean error between two levels: without noise, their squares add up to step^2 / 12.
+    order = np.arange(1, HARMONICS + 1)
+    mean = np.exp(-2 * (np.pi * order * noise_sd(there, step) / step) ** 2)
+    mean[0] -= min(mean[0], MOST)
+    share = float(np.sum((mean / order) ** 2) / np.sum(1.0 / order**2))
+    return step * float(np.sqrt((1 + share * (stays - 1)) / 12))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _moves(y, step):  # type: ignore[no-untyped-def]
+    """How often a signal (N,) has gone on by a step."""
+    count, since = 0, y[0]
+    for now in y:
+        if abs(now - since) >= step:
+            count += 1
+            since = now
+    return count

@@ -16,6 +16,7 @@ from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.converter import (
     Converter,
     converter_of,
+    converter_sd,
     leaning,
     quantisation_step,
     saturated,
@@ -73,7 +74,7 @@ class Run:
         angle: (N,) shaft angle, if recorded.
         shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
         there: (N, C) which samples of each output were measured, and not imposed on the motor.
-        quantum: (C,) standard deviation that the converter of an output adds to a sample.
+        quantum: (C,) standard deviation that the converter of an output adds to a sample, see `converter.converter_sd`.
         input_step: the least significant bit of voltage and load torque, 0 if continuous.
         corrections: (N, 2) what the sensors of voltage (V) and load torque (N m) showed too little, as a fit expects it
             given all that was measured; None is nothing.
@@ -272,11 +273,8 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             hung[channel] = (first, last)
         measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
-        # While a coarse converter shows the same number, its error stays the same too: the whole dwell counts as one sample.
-        dwell = rows / (1 + np.count_nonzero(np.diff(measured[:, k])))
-        coarse = quantisation_step(y) / np.sqrt(12) * np.sqrt(dwell if dwell > 3 else 1.0)
-        quantum[k] = coarse
-        floor[k] = max(coarse, 1e-4 * spread, 1e-9) / np.sqrt(every)
+        quantum[k] = converter_sd(y)
+        floor[k] = max(quantum[k], 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
     inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
