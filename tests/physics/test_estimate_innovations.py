@@ -20,18 +20,29 @@ SAMPLES, CHANNELS = 12, 2
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 
 
-@pytest.fixture(scope="module", params=[3, 4], ids="{} states".format)
+@pytest.fixture(scope="module", params=[(3, False), (4, False), (3, True), (4, True)], ids=str)
 def space(request: pytest.FixtureRequest) -> StateSpace:
-    """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start."""
-    states = request.param
+    """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start. Or besides coloured noise.
+
+    Of the voltage, which runs linearly, and of the second channel, whose state is the last.
+    """
+    states, lasting = request.param
     rng = np.random.default_rng(0)
     keeps = np.zeros((SAMPLES - 1, 3))
     keeps[:, 2] = 0.9
     noise = np.abs(rng.standard_normal((SAMPLES, CHANNELS))) + 0.1
     noise[4, 1] = np.inf
-    return StateSpace(
+    found = StateSpace(
         0.4 * rng.standard_normal((SAMPLES - 1, states, states + 6)), np.array([0, 1]), np.array([0, 1, 1]),
-        np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise, np.array([0.2, *np.zeros(states - 1)]),
+        np.array([-1, -1]), np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise,
+        np.array([0.2, *np.zeros(states - 1)]),
+    )  # fmt: skip
+    if not lasting:
+        return found
+    return replace(
+        found, shows=np.array([0, states - 1]), balances=np.array([0, 1, 1, 0, -1]), drifts=np.array([-1, 4]),
+        holds=np.array([True, False, True, False, True]), variance=np.array([0.5, 0.8, 0.3, 0.4, 0.7]),
+        keeps=np.column_stack([keeps, np.full(SAMPLES - 1, 0.6), np.linspace(0.5, 0.8, SAMPLES - 1)]),
     )  # fmt: skip
 
 
@@ -39,11 +50,14 @@ def response(space: StateSpace, start: np.ndarray, forcing: np.ndarray) -> np.nd
     """(N * C,) what the channels show of a start (n,) and disturbances (N, D): written out sample by sample."""
     x, shown = np.asarray(start, dtype=np.float64), []
     for k in range(SAMPLES):
-        shown.append(x[space.shows])
+        drift = [forcing[k, d] if d >= 0 else 0.0 for d in space.drifts]
+        shown.append((x[space.shows].T + drift).T)
         if k + 1 < SAMPLES:
             phi, now, then = np.split(space.matrices[k], [len(x), len(x) + 3], axis=1)
             first, last = np.zeros(3), np.zeros(3)
             for d, balance in enumerate(space.balances):
+                if balance < 0:
+                    continue
                 first[balance] += forcing[k, d]
                 last[balance] += forcing[k if space.holds[d] else k + 1, d]
             x = phi @ x + now @ first + then @ last
@@ -58,17 +72,19 @@ class Dense:
         self.use = np.isfinite(sensors)
         self.news: list[tuple[int, int, float, np.ndarray]] = []
         self.parts = []
-        for d in range(3):
+        for d in range(len(space.balances)):
             part = np.zeros((SAMPLES * CHANNELS,) * 2)
             for k in range(SAMPLES):
-                forcing = np.zeros((SAMPLES, 3))
+                forcing = np.zeros((SAMPLES, len(space.balances)))
                 forcing[k:, d] = np.cumprod(np.concatenate([[1.0], space.keeps[k:, d]]))
                 seen = response(space, np.zeros(len(space.start)), forcing)
                 fresh = space.variance[d] * (1 - space.keeps[k - 1, d] ** 2 if k else 1.0)
                 part += fresh * np.outer(seen, seen)
                 self.news.append((k, d, fresh, seen[self.use]))
             self.parts.append(part[np.ix_(self.use, self.use)])
-        start = response(space, np.eye(len(space.start))[0], np.zeros((SAMPLES, 3)))[self.use]
+        start = response(space, np.eye(len(space.start))[0], np.zeros((SAMPLES, len(space.balances))))[
+            self.use
+        ]
         self.whole = sum(self.parts) + space.start[0] * np.outer(start, start) + np.diag(sensors[self.use])
         self.inverse = np.linalg.inv(self.whole)
 
@@ -99,9 +115,11 @@ def test_sums_by_blocks_are_those_of_all_samples_together(space: StateSpace) -> 
 def test_smoothed_disturbances_are_their_conditional_means(space: StateSpace) -> None:
     dense, y = Dense(space), np.random.default_rng(2).standard_normal((SAMPLES, CHANNELS, 1))
     seen = disturbances(space, innovations(space, y))[0]
-    expected, plain = np.zeros((SAMPLES, 3)), y.ravel()[dense.use]
+    expected, plain = np.zeros((SAMPLES, len(space.balances))), y.ravel()[dense.use]
     for k, d, fresh, shown in dense.news:
-        expected[k, d] = fresh * shown @ dense.inverse @ plain
+        # What is new at a sample remains in part.
+        remains = np.cumprod(np.concatenate([[1.0], space.keeps[k:, d]]))
+        expected[k:, d] += fresh * (shown @ dense.inverse @ plain) * remains
     np.testing.assert_allclose(seen, expected, atol=1e-12)
 
 

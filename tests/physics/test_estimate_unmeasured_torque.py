@@ -38,7 +38,7 @@ def test_a_motor_that_follows_within_a_sample_is_told_beside_a_torque_that_nobod
     found = estimate(file, prepare_all([Recording("slow.csv", np.arange(float(SAMPLES)), channels)], file))
     (run,) = found.runs
     assert run.noise is not None
-    voltage_V2, _, torque_Nm2 = run.noise.disturbances
+    voltage_V2, _, torque_Nm2 = run.noise.disturbances[:3]
     assert np.sqrt(torque_Nm2) == pytest.approx(TORQUE_SD, rel=0.15)
     assert np.sqrt(voltage_V2) == pytest.approx(VOLTAGE_SD, rel=0.3)
     values, sd = found.fit.model.values(), found.fit.sd()

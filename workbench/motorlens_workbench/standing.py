@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.model import error_of, predict
-from motorlens_physics.estimate.noise import TORQUE, Noise, likelier
+from motorlens_physics.estimate.noise import UNEXPLAINED, Noise, likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import moved_on
@@ -65,9 +65,9 @@ class Standing:
 
     @cached_property
     def looks(self) -> tuple[Look, Look]:
-        """Under the noise of the model, and with none of an unmeasured torque and of colour."""
+        """Under the noise of the model, and with none of an unmeasured torque, of coloured noise and of colour."""
         listed, constants = everything(self.lines, self.own), _constants(self.lines)
-        quiet = tuple(without_torque(line) for line in self.lines)
+        quiet = tuple(of_instruments(line) for line in self.lines)
         lenses = Lens(self.noises), Lens(quiet, plain=True)
         here, bare = looks(self.lines, lenses, self.fitted.prior, listed, constants)
         return here, bare
@@ -221,13 +221,12 @@ def _left_by(here: Standing, fitted: Fitted) -> list[Array]:
     return rests
 
 
-def without_torque(line: Line) -> Noise:
-    """The noise of a run if no torque was left unmeasured."""
+def of_instruments(line: Line) -> Noise:
+    """The noise of a run if no torque was left unmeasured, and no noise lasts."""
     noise = _noise(line)
-    most, disturbances = noise.most.copy(), noise.disturbances.copy()
-    most[TORQUE] *= NEGLIGIBLE
-    disturbances[TORQUE] = min(disturbances[TORQUE], most[TORQUE])
-    pinned = replace(noise, most=most, disturbances=disturbances)
+    most = noise.most.copy()
+    most[UNEXPLAINED] *= NEGLIGIBLE
+    pinned = replace(noise, most=most, disturbances=np.minimum(noise.disturbances, most))
     return _likeliest(pinned, line, line.error)
 
 
@@ -259,7 +258,7 @@ def _challenger(
     found = [
         _likeliest(noise, line, rest) for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
     ]
-    likely = [_torque_of(noise, other) for noise, other in zip(noises, found, strict=True)]
+    likely = [_no_more_than(noise, other) for noise, other in zip(noises, found, strict=True)]
     book, (entry,) = seen.entries([score], seen.lines, Lens(likely, rests), prior)
     again = book.beside().score(entry)
     if again is None or not again.possible:
@@ -282,12 +281,10 @@ def unlikelihood(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence
     )
 
 
-def _torque_of(noise: Noise, other: Noise) -> Noise:
-    """A noise with the unmeasured torque of another, if that is smaller."""
-    if other.disturbances[TORQUE] >= noise.disturbances[TORQUE]:
-        return noise
+def _no_more_than(noise: Noise, other: Noise) -> Noise:
+    """A noise with no more unmeasured torque, and coloured noise, than another."""
     disturbances = noise.disturbances.copy()
-    disturbances[TORQUE] = other.disturbances[TORQUE]
+    disturbances[UNEXPLAINED] = np.minimum(disturbances[UNEXPLAINED], other.disturbances[UNEXPLAINED])
     return replace(noise, disturbances=disturbances)
 
 

@@ -24,7 +24,15 @@ from motorlens_physics.estimate.report import Findings, findings
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.shaft import followed
 from motorlens_physics.estimate.timing import Timing
-from motorlens_physics.estimate.weighed import Array, Weighed, at, from_noise, minimised, noisier
+from motorlens_physics.estimate.weighed import (
+    Array,
+    Weighed,
+    at,
+    from_noise,
+    minimised,
+    noisier,
+    with_colour,
+)
 from motorlens_physics.motor_file import MotorFile
 
 # Delays are looked for in this many times as many samples as everything else, for they may be a tenth of what is looked at;
@@ -118,8 +126,12 @@ def near(
     begin = replace(begin, tolerance=COARSE)
     wide, longer = pieces_of(begin, whole, FARTHER * PIECE)
     model, runs = pieces_of(wide, longer, PIECE)
-    timing = Timing(model, wide, longer, prior_of(prior, begin, runs, cut(whole, runs)), progress)
-    return timing.likeliest(timing.near(model, runs), free=held is None)
+    prior = prior_of(prior, begin, runs, cut(whole, runs))
+    timing = Timing(model, wide, longer, prior, progress)
+    point = timing.likeliest(timing.near(model, runs), free=held is None)
+    # Parameters that are wrong leave errors that last.
+    other = with_colour(point)
+    return point if other is point else minimised(other, prior, progress, outliers=False)[0]
 
 
 def beside(

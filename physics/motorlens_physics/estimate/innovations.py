@@ -36,7 +36,8 @@ class StateSpace:
     Attributes:
         matrices: (N - 1, n, n + 6) Phi and the Gammas of `sensitivity.Linearisation`.
         shows: (C,) the state that each channel shows.
-        balances: (D,) the balance (0 voltage, 1 torque, 2 heat) that each disturbance enters.
+        balances: (D,) the balance (0 voltage, 1 torque, 2 heat) that each disturbance enters; -1 is none.
+        drifts: (C,) the disturbance that each channel shows besides its state, as it is; -1 is none.
         holds: (D,) whether a disturbance holds from its sample to the next, or runs linearly.
         keeps: (N - 1, D) share of a disturbance that remains at the next sample; 0 is white.
         variance: (D,) of a disturbance, stationary.
@@ -47,6 +48,7 @@ class StateSpace:
     matrices: Array
     shows: NDArray[np.int64]
     balances: NDArray[np.int64]
+    drifts: NDArray[np.int64]
     holds: NDArray[np.bool_]
     keeps: Array
     variance: Array
@@ -127,8 +129,9 @@ class _Filter:
         white, scale = np.empty(columns.shape), np.empty((samples, channels))
         gain = np.zeros((samples, channels, len(self._states)))
         _filter(
-            self._each, space.matrices, space.shows, tuple(space.balances.tolist()), space.holds, space.keeps,
-            space.variance, space.noise, first, self._covariance, self._states, np.ascontiguousarray(columns), white, scale,
+            self._each, space.matrices, space.shows, space.drifts, tuple(space.balances.tolist()), space.holds,
+            space.keeps, space.variance, space.noise, first,
+            self._covariance, self._states, np.ascontiguousarray(columns), white, scale,
             gain,
         )  # fmt: skip
         return Filtered(white, scale, gain)
@@ -138,7 +141,7 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
     """Look back from the end: the disturbances, and the scores of all variances, from the first column.
 
     Returns:
-        (N, D) expected disturbance at each sample given all samples; of a slow one, what is new in it.
+        (N, D) expected disturbance at each sample given all samples.
         (2, D): sums over the samples of the squared score and of its expectation, per disturbance.
         (2, C): the same per channel. A variance times the root of the ratio of the two is the next step of its
         maximum-likelihood estimate, which never falls (Zhou, Hu, Zhou and Lange 2019, doi:10.1080/10618600.2018.1529601).
@@ -148,7 +151,7 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
         np.zeros((len(space.noise), count)), np.zeros((2, count)), np.zeros((2, channels))
     )  # fmt: skip
     _smooth(
-        _each(space), space.matrices, space.shows, tuple(space.balances.tolist()), space.holds,
+        _each(space), space.matrices, space.shows, space.drifts, tuple(space.balances.tolist()), space.holds,
         space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
@@ -161,6 +164,9 @@ def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-
     for d in range(len(balances)):
         j = balances[d]
         for r in range(len(G)):
+            if j < 0:
+                G[r, d], late[r, d] = 0.0, 0.0
+                continue
             first, last = matrices[k, r, len(G) + j], matrices[k, r, len(G) + 3 + j]
             if holds[d]:
                 G[r, d], late[r, d] = first + last, 0.0
@@ -170,7 +176,7 @@ def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _filter(  # type: ignore[no-untyped-def]
-    each, matrices, shows, balances, holds, keeps, variance, noise, begin, P, z, y, white, scale, gain
+    each, matrices, shows, drifts, balances, holds, keeps, variance, noise, begin, P, z, y, white, scale, gain
 ):
     # The compiler unrolls loops over tuples.
     n, count = len(each), len(balances)
@@ -236,13 +242,21 @@ def _filter(  # type: ignore[no-untyped-def]
                     white[row, c, m] = 0.0
                 continue
             power = P[h, h] + noise[k, c]
+            o = n + drifts[c]
+            if o >= n:
+                power += 2.0 * P[h, o] + P[o, o]
             root = np.sqrt(power)
             scale[row, c] = root
             for r in range(s):
                 K[r] = P[r, h] / root
+                if o >= n:
+                    K[r] += P[r, o] / root
                 gain[row, c, r] = K[r] / root
             for m in range(width):
-                white[row, c, m] = (y[row, c, m] - z[h, m]) / root
+                left = y[row, c, m] - z[h, m]
+                if o >= n:
+                    left -= z[o, m]
+                white[row, c, m] = left / root
             for r in range(s):
                 for m in range(width):
                     z[r, m] += K[r] * white[row, c, m]
@@ -253,13 +267,26 @@ def _filter(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _smooth(  # type: ignore[no-untyped-def]
-    each, matrices, shows, balances, holds, keeps, variance, white, scale, gain, seen, of_inputs, of_channels
+    each,
+    matrices,
+    shows,
+    drifts,
+    balances,
+    holds,
+    keeps,
+    variance,
+    white,
+    scale,
+    gain,
+    seen,
+    of_inputs,
+    of_channels,
 ):
     n, count = len(each), len(balances)
     s, samples, channels = n + count, white.shape[0], white.shape[1]
     G, late, fresh, share = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count), np.zeros(count)
     u, past, W = np.zeros(s), np.zeros(s), np.zeros(s)
-    L, T = np.zeros((s, s)), np.zeros((s, s))
+    L, T, at = np.zeros((s, s)), np.zeros((s, s)), np.zeros(2, np.int64)
     for back in range(samples):
         k = samples - 1 - back
         for step in range(channels):
@@ -279,11 +306,15 @@ def _smooth(  # type: ignore[no-untyped-def]
             error = white[k, c] / scale[k, c] - along
             of_channels[0, c] += error**2
             of_channels[1, c] += 1.0 / power + across
-            u[h] += error
-            for r in range(s):
-                L[r, h] -= W[r]
-                L[h, r] -= W[r]
-            L[h, h] += 1.0 / power + across
+            at[0], at[1] = h, n + drifts[c]
+            shown = 2 if drifts[c] >= 0 else 1
+            for a in range(shown):
+                u[at[a]] += error
+                for r in range(s):
+                    L[r, at[a]] -= W[r]
+                    L[at[a], r] -= W[r]
+                for b in range(shown):
+                    L[at[a], at[b]] += 1.0 / power + across
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
         for d in range(count):
@@ -336,6 +367,9 @@ def _smooth(  # type: ignore[no-untyped-def]
                     for q in range(n):
                         total += G[q, d] * T[q, c]
                     L[n + d, c] = total
+    for k in range(1, samples):
+        for d in range(count):
+            seen[k, d] += keeps[k - 1, d] * seen[k - 1, d]
 
 
 def share_that_remains(time_s: Array, lasts_s: Array) -> Array:

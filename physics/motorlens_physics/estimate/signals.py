@@ -40,6 +40,32 @@ def noise_sd(y: Array, step: float = 0.0) -> float:
     return at_first_sight
 
 
+def coloured_sd(y: Array, samples: float, step: float = 0.0) -> float:
+    """Standard deviation of noise that forgets within so many samples, beside white noise, on a mostly smooth signal.
+
+    From second differences over half as many samples, beside those over one sample, which see the white noise.
+
+    Args:
+        y: (N,) evenly sampled.
+        samples: time constant of the coloured noise.
+        step: least significant bit of its converter, 0 if it looks continuous.
+
+    >>> rng, keep = np.random.default_rng(0), np.exp(-1 / 30)
+    >>> drift = rng.standard_normal(40_000) * np.sqrt(1 - keep**2)
+    >>> for k in range(1, 40_000): drift[k] += keep * drift[k - 1]
+    >>> round(coloured_sd(drift + 0.5 * rng.standard_normal(40_000), 30.0), 1)
+    1.0
+    """
+    lag = max(2, round(samples / 2))
+    if len(y) < 16 * lag:
+        return 0.0
+    seen = _of_second_differences(y[2 * lag :] - 2 * y[lag:-lag] + y[: -2 * lag])
+    white = np.hypot(noise_sd(y, step), step / np.sqrt(12))
+    near, far = np.exp(-1 / samples), np.exp(-lag / samples)
+    share = (8 * (near - far) - 2 * (near**2 - far**2)) / 6
+    return float(np.sqrt(max(seen**2 - white**2, 0.0) / share))
+
+
 def roughness(error: Array, shown: Array) -> float:
     """Root mean square of white noise on a mostly smooth error of a sensor that may rest at one number without any.
 

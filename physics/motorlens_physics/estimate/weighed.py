@@ -17,7 +17,16 @@ from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
 from motorlens_physics.estimate.innovations import StateSpace, Sums, disturbances, innovations, sums
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
-from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise, lasting, likelier
+from motorlens_physics.estimate.noise import (
+    LOAD,
+    OUTLIER,
+    VOLTAGE,
+    Noise,
+    coloured,
+    first_noise,
+    lasting,
+    likelier,
+)
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import smoothed
@@ -114,6 +123,11 @@ class Errors:
         noise = lasting(self.noise, self.run, self.linear, self.error, self.used, response_s)
         return replace(self, noise=noise)
 
+    def with_colour(self) -> "Errors":
+        """With coloured noise, if that is likelier; itself if it is not."""
+        noise = coloured(self.noise, self.run, self.linear, self.error, self.used)
+        return self if noise is self.noise else replace(self, noise=noise)
+
     def with_noise(self, updates: int, *, outliers: bool) -> "Errors":
         """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
         noise, _ = likelier(self.noise, self.run, self.linear, self.error, self.used, updates)
@@ -125,7 +139,9 @@ class Errors:
         seen, _, _ = disturbances(space, filtered)
         shown = _shown(self.run)
         # A load brakes: what the torque balance got too little, the load sensor showed too much.
-        missed = as_shown(self.frame.model, self.run, seen[:, VOLTAGE], -seen[:, LOAD])
+        missed = as_shown(
+            self.frame.model, self.run, noise.of_input(seen, VOLTAGE), -noise.of_input(seen, LOAD)
+        )
         expected = shown + np.column_stack(missed)
         return replace(self, noise=noise, used=used, run=_corrected(self.run, noise, expected))
 
@@ -137,7 +153,7 @@ def _shown(run: Run) -> Array:
 
 def _corrected(run: Run, noise: Noise, expected: Array) -> Run:
     """The run with its inputs corrected to what was expected (N, 2) of them, smoothed."""
-    spread = np.sqrt(noise.disturbances[[VOLTAGE, LOAD]]).tolist()
+    spread = [float(np.sqrt(noise.of_input(noise.disturbances[None], which)[0])) for which in (VOLTAGE, LOAD)]
     acted = np.column_stack([smoothed(u, sd=sd) for u, sd in zip(expected.T, spread, strict=True)])
     corrections = acted - _shown(run)
     if run.inputs.terminal is not None:
@@ -252,6 +268,14 @@ def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers
         return part.with_noise(updates, outliers=outliers)
 
     return replace(point, parts=tuple(on_all_cores(one, point.parts)))
+
+
+def with_colour(point: Weighed) -> Weighed:
+    """A point near the best parameters with coloured noise in each run where that is likelier; itself if in none."""
+    parts = tuple(on_all_cores(Errors.with_colour, point.parts))
+    if all(one is part for one, part in zip(parts, point.parts, strict=True)):
+        return point
+    return noisier(replace(point, parts=parts), 0)
 
 
 def minimised(

@@ -154,7 +154,7 @@ def ended(found: Estimate) -> dict[str, Any]:
         "late": dict(run.late),
         "noise": {
             "channels": run.noise.channels.tolist(), "disturbances": run.noise.disturbances.tolist(),
-            "lasts_s": run.noise.lasts_s,
+            "lasts_s": run.noise.lasts_s.tolist(),
         },
     }  # fmt: skip
 
@@ -173,9 +173,11 @@ def where_it_ended(
     (run,), told = runs, end["noise"]
     for channel, samples in end["late"].items():
         run = run.delayed(channel, samples)
-    channels, disturbances = (np.array(told[name]) for name in ("channels", "disturbances"))
+    channels, disturbances, lasts_s = (
+        np.array(told[name]) for name in ("channels", "disturbances", "lasts_s")
+    )
     # Its limits are those of the recording, see `Noise.like`.
-    noise = Noise(channels, disturbances, disturbances, told["lasts_s"], channels)
+    noise = Noise(channels, disturbances, disturbances, lasts_s, channels)
     # What had gone where nothing is any more begins at the nearest.
     values = {
         key: float(np.clip(value, *prior.bounds[key]))

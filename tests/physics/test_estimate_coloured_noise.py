@@ -1,0 +1,60 @@
+"""Coloured noise of every sensor: it is found as what it is, and does not bend the motor."""
+
+import numpy as np
+import pytest
+from helpers import plain_motor
+from helpers.plain_motor import RATED, TYPICAL
+from scipy.signal import lfilter
+
+from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.noise import TORQUE, VOLTAGE
+from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
+from motorlens_physics.recording import Recording
+
+PLATE = Rated(
+    voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
+    torque_Nm=RATED["load_torque"], rise_K=RATED["temperature"],
+)  # fmt: skip
+SAMPLES, PERIOD_S = 6000, 0.1
+CHANNELS = ("voltage", "load_torque", "current", "speed")
+
+
+def fitted(motor: dict[str, float], white: float, coloured: float, remains: float) -> Estimate:
+    """A motor of which all sensors are noisy, as shares of rated values; of coloured noise a share `remains` each sample."""
+    rng = np.random.default_rng(23)
+    volts = np.repeat(RATED["voltage"] * rng.uniform(-0.3, 0.3, SAMPLES // 150), 150)
+    load = np.repeat(RATED["load_torque"] * rng.uniform(0.0, 0.2, SAMPLES // 150), 150) * np.sign(volts)
+    states = plain_motor.simulated(motor, volts, load, plain_motor.Test(PERIOD_S, SAMPLES, 150, True, 0.0))
+    shown = dict(zip(CHANNELS, (volts, load, states[:, 0], states[:, 1]), strict=True))
+    for channel, y in shown.items():
+        drift = lfilter([np.sqrt(1 - remains**2)], [1.0, -remains], rng.standard_normal(SAMPLES))
+        shown[channel] = y + RATED[channel] * (white * rng.standard_normal(SAMPLES) + coloured * drift)
+    file = MotorFile("plate", Motor(), PLATE)
+    return estimate(file, prepare_all([Recording("drifting", PERIOD_S * np.arange(SAMPLES), shown)], file))
+
+
+@pytest.mark.fit
+def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> None:
+    motor = {**TYPICAL, "ke": 0.9 * TYPICAL["ke"], "R_a0": 1.15 * TYPICAL["R_a0"], "J": 0.85 * TYPICAL["J"]}
+    found = fitted(motor, white=0.005, coloured=0.01, remains=0.96)
+    noise = found.runs[0].noise
+    assert noise is not None
+    # All noise of the voltage, and the two of the speed; a load's and a current's show alike where a motor follows so soon.
+    correlated = noise.disturbances[3:]
+    voltage_V2 = noise.disturbances[VOLTAGE] + correlated[VOLTAGE]
+    assert np.sqrt(voltage_V2) / RATED["voltage"] == pytest.approx(np.hypot(0.005, 0.01), rel=0.25)
+    assert np.sqrt(correlated[-1]) / RATED["speed"] == pytest.approx(0.01, rel=0.2)
+    assert np.sqrt(noise.channels[-1]) / RATED["speed"] == pytest.approx(0.005, rel=0.2)
+    values, sd = found.fit.model.values(), found.fit.sd()
+    off = {key: (values[key] - motor[key]) / sd[key] for key in ("R_a0", "ke", "J", "b")}
+    assert found.converged and max(map(abs, off.values())) < 3, off
+    assert sd["ke"] < 0.01 * motor["ke"]
+
+
+@pytest.mark.fit
+def test_white_noise_is_not_taken_for_coloured() -> None:
+    noise = fitted(TYPICAL, white=0.01, coloured=0.0, remains=0.5).runs[0].noise
+    assert noise is not None and len(noise.disturbances) == TORQUE + 1
