@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.motor_file import Knowledge, read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_train.build import Recipe
@@ -19,6 +19,7 @@ from motorlens_train.material import (
     evenly,
     from_motor,
     from_recordings,
+    meant,
     relative,
     tolerant,
 )
@@ -96,6 +97,27 @@ def test_motors_of_one_make_differ_by_the_tolerance_and_not_by_more() -> None:
     assert np.abs(np.corrcoef(off.T) - np.eye(len(VARYING))).max() < 0.3
     assert relative(MOTOR, 0.0, np.random.default_rng(0)) is MOTOR
     assert dict(tolerant(ObserverSettings(), evenly(0.1)).tolerances)["ke"] == pytest.approx(0.1 / np.sqrt(3))
+
+
+def test_motors_that_a_file_may_mean_differ_by_what_it_leaves_open_and_by_a_makers_tolerance_at_most() -> (
+    None
+):
+    known = MOTOR.with_values(
+        {}, {"ke": Knowledge(0.01 * MOTOR.motor.ke), "J": Knowledge(), "H": Knowledge(0.0)}
+    )
+    drawn = [meant(known, np.random.default_rng(k)).values() for k in range(300)]
+    off = {key: np.array([one[key] for one in drawn]) / value - 1 for key, value in known.values().items()}
+    # alpha's is stated: 0.0001 of 0.004.
+    for key, sd in {
+        "R_a0": 0.1 / np.sqrt(3),
+        "L": 0.1 / np.sqrt(3),
+        "J": 0.1 / np.sqrt(3),
+        "ke": 0.01,
+        "alpha": 0.025,
+    }.items():
+        assert off[key].std() == pytest.approx(sd, rel=0.1), key
+        assert np.abs(off[key]).max() <= np.sqrt(3) * sd * (1 + 1e-9), key
+    assert not off["H"].any()
 
 
 def test_a_tolerance_that_no_make_has_is_refused() -> None:

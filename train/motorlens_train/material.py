@@ -8,6 +8,7 @@ import numpy as np
 
 from motorlens_physics.make import of_make
 from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file
+from motorlens_physics.parameter import parameters
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.scenario import parse_noise, time_constants
 from motorlens_runtime.errors import DataError
@@ -19,6 +20,7 @@ from motorlens_train.data import Cycle, cycle
 from motorlens_train.duty_cycles import LEAST, MOST, Noise, duty_cycle, instants
 from motorlens_train.evaluation.scores import counted
 from motorlens_train.features import motor_bank, recording_bank
+from motorlens_train.observer.belief import left_open
 from motorlens_train.observer.design import ObserverSettings, with_observer
 from motorlens_train.paper import PaperRun, paper_run
 from motorlens_train.specification import Array, Bank, Rate
@@ -98,9 +100,13 @@ def from_motor(
         settled = observed is not None and (number >= cycles or fifth <= number < 2 * fifth)
         other = np.random.default_rng([seed, number, 1])
         one = relative(file, tolerance, other) if make is None else of_the_make(file, spread, other)
-        # Filters alone do not show how large the noise is: what a sensor of them states must hold at the largest.
-        least = MOST if observed is None and number < fifth else LEAST
-        noise_here = deviations.of_any_kind(np.random.default_rng([seed, number, 2]), least)
+        # Filters alone show neither how large the noise is nor whose motor it is: what a sensor of them states must hold at
+        # the largest noise, and for every motor that the file may mean.
+        stated = observed is None and number < fifth
+        one = meant(file, other) if stated and not spread else one
+        noise_here = deviations.of_any_kind(
+            np.random.default_rng([seed, number, 2]), MOST if stated else LEAST
+        )
         made[number] = simulated(one, bank, noise_here, rate, [seed, number], unknown, settled)
         done(len(made))
     usual = (12, 8) if observed is None else (6,)
@@ -145,6 +151,15 @@ def relative(file: MotorFile, tolerance: float, rng: np.random.Generator) -> Mot
         return file
     values = file.values()
     return file.with_values({key: values[key] * rng.uniform(1 - tolerance, 1 + tolerance) for key in VARYING})
+
+
+def meant(file: MotorFile, rng: np.random.Generator) -> MotorFile:
+    """A motor that a file may mean: each parameter of the textbook evenly spread by what the file leaves open of it."""
+    values, known = file.values(), file.knowledge
+    shares = {key: left_open(known.get(key, Knowledge()), values[key]) for key in parameters(file.motor)}
+    return file.with_values({
+        key: values[key] * rng.uniform(1 - share, 1 + share) for key, share in shares.items()
+    })  # fmt: skip
 
 
 def of_the_make(file: MotorFile, spread: Mapping[str, float], rng: np.random.Generator) -> MotorFile:

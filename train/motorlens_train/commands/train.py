@@ -8,7 +8,9 @@ From a motor file it is the physics observer of that motor, alone: nothing is tr
 simulated duty cycles it is judged. With --tolerance 10 it is for every motor of the make, not for the one of the file: the
 observer finds R, ke and J of the motor it is put on, and a network mends what it gets wrong. With --hidden 12-8 it is a
 network on filters, without an observer: lighter on a microcontroller, and only for a motor that starts at ambient
-temperature, as its quality says. With --make in the place of --tolerance, motors differ as motorlens fleet has found.
+temperature, as its quality says. It cannot tell whose motor it is on: its intervals hold every motor that the file may mean
+by the deviations it states, 10 % at most; motorlens calibrate makes them smaller. With --make in the place of --tolerance,
+motors differ as motorlens fleet has found.
 
 From recordings it is the observer of the motor that they show, fitted as motorlens calibrate fits it, where that comes
 nearer to recordings left out in turn than a network does; OUT.toml is that motor. Else, or with --hidden, it is a network.

@@ -44,15 +44,16 @@ MOST = 50.0
 WARMEST, COLDEST = 250.0, 20.0
 
 
-def open_resistance(layout: Layout) -> float:
-    """Half the width, as a share, of the even spread of R_a0: what the file leaves open, at most a maker's tolerance.
+def left_open(known: Knowledge, value: float) -> float:
+    """Half the width, as a share, of a parameter's even spread: what the file leaves open, at most a maker's tolerance."""
+    return TOLERANCE if known.sd is None or not value else min(TOLERANCE, 3**0.5 * known.sd / abs(value))
 
-    0 where `tolerances` has it already.
-    """
+
+def open_resistance(layout: Layout) -> float:
+    """The same of R_a0; 0 where `tolerances` has it already."""
     if "R_a0" in dict(layout.settings.tolerances):
         return 0.0
-    sd = layout.knowledge.get("R_a0", Knowledge()).sd
-    return TOLERANCE if sd is None else min(TOLERANCE, 3**0.5 * sd / layout.motor.R_a0)
+    return left_open(layout.knowledge.get("R_a0", Knowledge()), layout.motor.R_a0)
 
 
 def variances(layout: Layout, shares: Mapping[str, float]) -> tuple[float, float]:
