@@ -1,8 +1,10 @@
 """How near a sensor file comes to what is possible: its rms errors over the posterior Cramer-Rao bound of each drive.
 
-The motor is the file's, the noise white; start, load and size of the noise are drawn. The bound knows the noise and is told
-how the load jumps and when the rotor rests, which no estimator knows; it starts from the same ignorance as the sensor. The
-columns `untold` leave out the samples to which it is told something: those within a second of a jump, and at rest.
+The motor is the file's, the noise white; start, load and size of the noise are drawn. The bound is taken along what truly
+happened: a trajectory of the measured voltage has its noise for an excitation, and shows temperatures that nothing shows. It
+knows the noise and is told by how much the load on the shaft changes at every sample, which no estimator knows; it starts
+from the same ignorance as the sensor. The columns `untold` leave out the samples to which it is told something: those within
+a second of a jump, and at rest, where a brake takes what it is asked for.
 """
 
 from collections.abc import Iterator
@@ -13,9 +15,8 @@ import numpy as np
 from sensor_rows.common import MELLAH
 from sensor_rows.worlds import DRIVE, judged
 
-from motorlens_physics.recording import Recording
 from motorlens_runtime.sensor.sensor import load_sensor
-from motorlens_train.bound import Noise, bound_of_recording
+from motorlens_train.bound import Noise, bound
 from motorlens_train.evaluation.scores import plate_prior
 from motorlens_train.evaluation.worlds.judge import ROWS, Verdict
 from motorlens_train.evaluation.worlds.world import Recorded, World, at, drawn, record
@@ -41,9 +42,9 @@ def bounds(path: Path, drives: int) -> int:
         for start in ("cold", "warm"):
             rows = []
             for world, recorded in _drives(kind, start, drives):
-                bound = _bound(recorded)
+                least = _bound(recorded)
                 untold = replace(recorded, counted=recorded.counted & _untold(recorded))
-                rows += [[(judged(sensor, world, one), _rms(bound, one)) for one in (recorded, untold)]]
+                rows += [[(judged(sensor, world, one), _rms(least, one)) for one in (recorded, untold)]]
             missed += _show(kind, start, asked, rows)
     return missed
 
@@ -81,15 +82,13 @@ def _drives(kind: str, start: str, drives: int) -> Iterator[tuple[World, Recorde
 
 def _bound(recorded: Recorded) -> np.ndarray:
     """Deviations (N, 2) of speed and temperature."""
-    channels = {
-        "voltage": recorded.voltage_V, "current": recorded.current_A, "speed": recorded.truth[:, 0],
-        "temperature": recorded.truth[:, 1] + recorded.ambient_C, "ambient": recorded.ambient_C,
-        "load_torque": recorded.load_Nm,
-    }  # fmt: skip
+    load = recorded.shaft_Nm
+    states = {"i": recorded.true_A, "w": recorded.truth[:, 0], "theta": recorded.truth[:, 1], "load": load}
     noise = Noise(recorded.noise_V, recorded.noise_A, LOAD_WALK)
-    found = bound_of_recording(
-        MELLAH.motor, Recording("drive", recorded.time_s, channels), noise, plate_prior(MELLAH)
-    )
+    changes = np.abs(np.diff(load, prepend=load[:1]))
+    found = bound(
+        MELLAH.motor, recorded.time_s, states, recorded.true_V, recorded.ambient_C, noise, plate_prior(MELLAH), changes
+    )  # fmt: skip
     return found.outputs[:, :2]
 
 

@@ -109,6 +109,7 @@ def _day() -> tuple[World, Recorded]:
     truth = np.column_stack([states[:, 1], rise, motor.R * (1 + motor.alpha * rise)])
     recorded = Recorded(
         time, voltage + DRIVE.noise_V * rng.standard_normal(n), states[:, 0] + DRIVE.noise_A * rng.standard_normal(n),
-        np.full(n, 20.0), truth, time > 11.0, DRIVE.noise_V, DRIVE.noise_A, load, motor, DRIVE.sizes,
+        np.full(n, 20.0), truth, time > 11.0, DRIVE.noise_V, DRIVE.noise_A, load, voltage, states[:, 0], load, motor,
+        DRIVE.sizes,
     )  # fmt: skip
     return at(drawn(43, 0), **PLAIN, excitation="constant", rate="200", start="cold"), recorded

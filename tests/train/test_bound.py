@@ -7,8 +7,9 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from motorlens_physics.motor import Motor
+from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_train.bound import Bound, Noise, Prior, bound, riccati, transition
+from motorlens_train.bound import Bound, Noise, Prior, bound, bound_of_recording, riccati, transition
 
 pytestmark = pytest.mark.fit
 
@@ -158,3 +159,22 @@ def test_a_locked_rotor_is_the_best_thermometer_and_a_dead_one_none():
     assert dead[round(10 / PERIOD_S)] == pytest.approx(40.0, rel=0.01)
     assert dead[round(600 / PERIOD_S)] == pytest.approx(35.0, rel=0.02)
     assert dead[-1] == pytest.approx(26.0, rel=0.02)
+
+
+def test_the_noise_of_a_measured_voltage_passes_for_an_excitation():
+    """A shorted motor that its load turns at a constant speed tells nothing of its temperature, however long."""
+    n, rng = 20_000, np.random.default_rng(0)
+    time, load, noise = np.arange(n) * 2e-3, np.full(n, -2.0), Noise(0.5, 0.05, 0.02)
+    prior = Prior({"w": 50.0, "theta": 36.0, "load": 10.0, "i": 1.0})
+    start = simulate(MOTOR, Inputs(time, np.zeros(n), load, np.full(n, 20.0)), {}).states
+    settled = {name: np.full(n, values[-1]) for name, values in start.items()}
+    true = bound(MOTOR, time, {**settled, "load": load}, np.zeros(n), np.full(n, 20.0), noise, prior).sd(
+        "theta"
+    )
+    channels = {
+        "voltage": 0.5 * rng.standard_normal(n), "load_torque": load, "ambient": np.full(n, 20.0),
+        "temperature": np.full(n, 20.0), "speed": settled["w"],
+    }  # fmt: skip
+    seen = bound_of_recording(MOTOR, Recording("noisy", time, channels), noise, prior).sd("theta")
+    assert true[-1] > 0.9 * true[500] > 20.0
+    assert seen[-1] < 0.7 * seen[500]

@@ -42,6 +42,26 @@ def test_the_plant_is_the_motor_of_the_file(file, held):
         np.testing.assert_allclose(mine[:, k], other, atol=2e-3 * size)
 
 
+@pytest.mark.parametrize("load", ["brake", "drive"])
+def test_what_truly_happened_obeys_the_equations_of_the_motor(load):
+    """Newton's law and Kirchhoff's, integrated over quarters of a second, at rest and in reverse too."""
+    drive = Drive.of(MELLAH)
+    world = at(
+        drawn(3, 4), excitation="steps", rate="5000", between="held", start="warm", load=load, lacks="nothing"
+    )
+    found = record(world, drive)
+    c, h, every = found.constants, np.diff(found.time_s), 1250
+    i, w, R = found.true_A, found.truth[:, 0], found.truth[:, 2]
+    shaft = 0.5 * (found.shaft_Nm[1:] + found.shaft_Nm[:-1])
+    means = [0.5 * (x[1:] + x[:-1]) for x in (i, w, R * i)]
+    angular = np.concatenate([[0.0], np.cumsum(h * (c.ke * means[0] - c.b * means[1] - shaft))])
+    linked = np.concatenate([[0.0], np.cumsum(h * (found.true_V[:-1] - means[2] - c.ke * means[1]))])
+    for sum_, state, size in ((angular / c.J, w, 1.0), (linked / c.L, i, 0.2)):
+        off = np.diff(sum_[::every]) - np.diff(state[::every])
+        assert np.median(np.abs(off)) < 0.01 * size and np.abs(off).max() < size
+    assert w.min() < -1.0 if load == "drive" else w.min() > -1.0
+
+
 def test_a_world_is_its_seed_and_its_noise_is_what_it_says():
     drive = Drive.of(wheel())
     world = at(

@@ -144,9 +144,9 @@ def bound_of_recording(
 
     Args:
         motor: the true motor.
-        recording: voltage, load torque, ambient and temperature; measured voltage will do, its noise averages out. But it
-            moves a resting rotor a little, so that the bound is that of one who does not know that the rotor rests: up
-            to a fifth more in temperature than with the true voltage.
+        recording: voltage, load torque, ambient and temperature. A measured voltage will do where steps excite the motor.
+            Where little does, its noise passes for an excitation, which shows a temperature that nothing shows; and it
+            moves a resting rotor, so that the bound is that of one who does not know that the rotor rests.
         noise: what is assumed.
         prior: what is known before the first sample.
         load_steps_known: a genie tells when the load steps, and by about how much.

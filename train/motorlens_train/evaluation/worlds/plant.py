@@ -34,6 +34,10 @@ class Constants(NamedTuple):
         """The longest step of the integration: a fortieth of L/R, a fifth of the brake's fastest rate."""
         return min(self.L / self.R / 40, self.turning * self.J / max(brake_Nm, 1e-12) / 5)
 
+    def at_the_shaft(self, brake_Nm: Array, torque_Nm: Array, speed_rad_s: Array) -> Array:
+        """What a brake and a torque are against the motion, N m (N,): at rest the brake takes what it is asked for."""
+        return np.asarray(brake_Nm * np.tanh(speed_rad_s / self.turning) + torque_Nm)
+
 
 class Loop(NamedTuple):
     """A speed controller: V s/rad, V/rad, and its limit, V."""

@@ -46,7 +46,8 @@ class Recorded:
     """What is measured, (N,) each: stamps s, V, A, degC; and the truth (N, 3): speed rad/s, rise K, resistance ohm.
 
     `counted` (N,): from ten seconds after the motor was first excited. `noise_V`, `noise_A`: of a sample. `load_Nm` (N,):
-    the true load. `sizes` (3,): errors that matter.
+    brake and torque as they were set. `true_V`, `true_A`, `shaft_Nm` (N,): without noise, and what acted on the shaft.
+    `sizes` (3,): errors that matter.
     """
 
     time_s: Array
@@ -58,6 +59,9 @@ class Recorded:
     noise_V: float
     noise_A: float
     load_Nm: Array
+    true_V: Array
+    true_A: Array
+    shaft_Nm: Array
     constants: Constants
     sizes: Array
 
@@ -119,9 +123,10 @@ def record(world: World, drive: Drive) -> Recorded:
     held = world.factors["between"] == "held" or kind == "loop"
     states, voltage = run(motor, time, voltage, held, brake, torque, start, reference, loop)
     first = n // 3 if late else 0
+    shaft = motor.at_the_shaft(brake, torque, states[:, 1])
     return _measured(
-        world, drive, motor, time[first:], voltage[first:], states[first:], (brake + torque)[first:], rate
-    )
+        world, drive, motor, time[first:], voltage[first:], states[first:], (brake + torque)[first:], shaft[first:], rate
+    )  # fmt: skip
 
 
 def _measured(
@@ -132,6 +137,7 @@ def _measured(
     voltage: Array,
     states: Array,
     load: Array,
+    shaft: Array,
     rate: float,
 ) -> Recorded:
     rng = world.rng(4)
@@ -161,7 +167,8 @@ def _measured(
     ambient = np.full(len(time), rng.uniform(0.0, 40.0))
     seen_V, seen_A = channels
     return Recorded(
-        time, seen_V, seen_A, ambient, truth, time >= begun + 10.0, *sds, load, motor, drive.sizes
+        time, seen_V, seen_A, ambient, truth, time >= begun + 10.0, *sds, load, voltage, states[:, 0], shaft, motor,
+        drive.sizes,
     )  # fmt: skip
 
 
