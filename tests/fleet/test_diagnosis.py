@@ -8,8 +8,10 @@ import pytest
 from helpers.drawn_fleet import drawn, fleet_of
 from helpers.plain_fleet import World, write
 
-from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.effect import catalogue
+from motorlens_physics.motor_file import Knowledge, read_motor_file
 from motorlens_physics.queue import Done
+from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.fleet.diagnosis import Diagnosis, diagnosed
 from motorlens_workbench.fleet.store import Store
@@ -67,6 +69,23 @@ def test_a_diagnosis_names_no_path_and_no_time(tmp_path):
     copy.write_bytes(path.read_bytes())
     assert Diagnosis((Job(copy, file),), file).key() == job.key()
     assert replace(job, file=file.with_values({"R_a0": 4.0})).key() != job.key()
+
+
+def test_a_result_follows_from_what_the_motor_file_says_not_from_how(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,voltage_V\n", encoding="utf-8")
+    file = read_motor_file("mellah2016")
+    key = Job(path, file).key()
+    assert Job(path, replace(file, text="# again\n" + file.text)).key() == key
+    others = [
+        file.with_values({"ke": file.motor.ke * (1 + 1e-15)}),
+        file.with_values({}, {"ke": Knowledge(0.01)}),
+        replace(file, motor=file.motor.with_effect(catalogue()["coulomb_friction"].at_null(file.rated))),
+        replace(file, sensors=(sensor_catalogue()["speed_sensor_gain"],)),
+        replace(file, rated=replace(file.rated, ambient_C=21.0)),
+        replace(file, name="another"),
+    ]
+    assert len({key, *(Job(path, other).key() for other in others)}) == 1 + len(others)
 
 
 def test_what_cannot_be_diagnosed_is_said_without_paths(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from motorlens_physics.motor_file import MotorFile, to_toml
+from motorlens_physics.motor_file import MotorFile
 from motorlens_workbench.fleet.store import Store, code_version, digest
 
 if TYPE_CHECKING:
@@ -37,14 +37,12 @@ class Diagnosis:
     def key(self) -> str:
         """The name of its result. Raises OSError: a recording cannot be read."""
         import motorlens_workbench
+        from motorlens_workbench.fleet.work import content_of
 
-        parts = [
-            SCHEMA,
-            code_version(motorlens_workbench),
-            to_toml(self.file),
-            *(job.key() for job in self.jobs),
-        ]
-        return digest(*(part.encode() for part in parts))
+        keys = (job.key().encode() for job in self.jobs)
+        return digest(
+            SCHEMA.encode(), code_version(motorlens_workbench).encode(), content_of(self.file), *keys
+        )
 
     def result(self) -> dict[str, Any]:
         """Its verdict in words and names. Raises MotorlensError: the recordings or the model are at fault."""

@@ -6,7 +6,7 @@ no time, so that whoever computes it writes the same bytes.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,13 +17,24 @@ from motorlens_physics.estimate.free_run import free_runs, free_runs_of
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF, prepare_all
-from motorlens_physics.motor_file import MotorFile, to_toml
+from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.errors import DataError, MotorlensError
 from motorlens_workbench.fleet.store import canonical, code_version, digest
 from motorlens_workbench.fleet.summary import candidates, ended, parabola, where_it_ended
 
 SCHEMA = "motorlens.fleet.recording/1"
+
+
+def content_of(file: MotorFile) -> bytes:
+    """All of a motor file that a result follows from: not its comments, nor how its numbers are spelled.
+
+    Every recording of a fleet asks, in every round: its TOML, which keeps the comments, takes seventy times as long.
+    """
+    known = {key: asdict(what) for key, what in file.knowledge.items()}
+    values = {key: float(value) for key, value in file.values().items()}
+    parts = [part.name() for part in file.parts]
+    return json.dumps([file.name, asdict(file.rated), parts, values, known], sort_keys=True).encode()
 
 
 @dataclass(frozen=True)
@@ -49,7 +60,7 @@ class Job:
         beside = self.path.with_name(self.path.name + ".columns.toml")
         how = json.dumps([self.columns, self.no_values, self.compare])
         mapping = beside.read_bytes() if beside.exists() else b""
-        content = (self.path.read_bytes(), mapping, to_toml(self.file).encode())
+        content = (self.path.read_bytes(), mapping, content_of(self.file))
         return digest(
             SCHEMA.encode(), code_version().encode(), how.encode(), self.path.suffix.encode(), *content
         )
