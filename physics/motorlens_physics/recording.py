@@ -27,9 +27,10 @@ from motorlens_runtime.files.columns import (
     parse_mapping,
     require,
     understand,
+    units_offered,
 )
 from motorlens_runtime.files.guesses import refuse_counts
-from motorlens_runtime.files.headings import QUANTITIES, candidates
+from motorlens_runtime.files.headings import candidates
 from motorlens_runtime.files.words import WORDS
 
 Array = NDArray[np.float64]
@@ -183,10 +184,16 @@ def inputs_of(
     )
 
 
+def _other_unit(quantity: str, heading: str) -> str:
+    """The unit that is taken, and how to say another."""
+    taken, another = units_offered(quantity)[:2]
+    return f"{taken}; were it {another}: --column {shlex.quote(f'{quantity}_{another}={heading}')}"
+
+
 def _about_columns(headings: Sequence[str], columns: Mapping[str, Column]) -> list[str]:
     """Which columns were not used, what they may be, and what was taken for granted of those that were."""
     notes = [
-        f"{quantity}: no unit is given in {column.heading!r}; taken as {QUANTITIES[quantity][0]}"
+        f"{quantity}: no unit is given in {column.heading!r}; taken as {_other_unit(quantity, column.heading)}"
         for quantity, column in columns.items()
         if column.assumed
     ]

@@ -2,6 +2,7 @@
 
 import gc
 import gzip
+import shlex
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -306,6 +307,18 @@ def test_a_damaged_mdf_file_is_one_line(tmp_path):
 def test_temperatures_of_no_winding_are_suspected(tmp_path):
     content = text((TIME, VOLTAGE, CURRENT, 1800 + TIME), (*NAMES[:3], "temperature"))
     assert any("counts of a converter" in note for note in read(tmp_path, content).notes)
+
+
+def test_where_no_unit_is_given_another_is_said_as_the_note_does(tmp_path):
+    plain = text((TIME, VOLTAGE, SPEED), ("time_s", "voltage_V", "my speed"))
+    taken = read(tmp_path, plain, ["speed=my speed"])
+    (note,) = [note for note in taken.notes if "no unit is given" in note]
+    assert "taken as rad/s" in note
+    word, option = shlex.split(note)[-2:]
+    assert word == "--column"
+    other = read(tmp_path, plain, [option])
+    assert not any("no unit is given" in note for note in other.notes)
+    np.testing.assert_allclose(other.channels["speed"], SPEED * np.pi / 30)
 
 
 def test_columns_that_were_not_used_are_listed_and_what_they_may_be(tmp_path):

@@ -1,11 +1,12 @@
 """What `--column voltage=duty_pct*vbat_V/100` says: a formula over columns of a recording, with its units checked.
 
-Columns enter by their heading and are converted to SI by the unit written in it; a constant may have a unit, `0.033[m]`.
-`+ - * /` and brackets; a heading that is no plain word is written as it stands or between quotes. Nothing is evaluated but
-these.
+Columns enter by their heading and are converted to SI by the unit written in it, or behind it where it has none:
+`y[deg/s]`. A constant may have a unit, `0.033[m]`; `pi` is one. `+ - * /` and brackets; a heading that is no plain word is
+written as it stands or between quotes. Nothing is evaluated but these.
 
 A constant without a unit that equals the conversion of a column's unit (100 of a percentage, 1000 of millivolts) states that
-conversion, and is not applied a second time: `v_mV/1000` and `v_mV` are the same voltage.
+conversion, and is not applied a second time: `v_mV/1000` and `v_mV` are the same voltage, and `n_rpm*2*pi/60` and `n_rpm`
+the same speed.
 """
 
 import difflib
@@ -13,6 +14,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +28,7 @@ UnitOf = Callable[[str], Unit | None]
 
 # A typed conversion (0.1047 for rpm) is the unit's to the digits that were typed.
 _SAME = 1e-3
-_NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_DIGITS = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NAME = re.compile(r"[^\s*/+\-()\[\]'\"]+")
 
 
@@ -82,19 +84,24 @@ class _Term:
         )
 
     def settled(self) -> "_Term":
-        """Its product done: a constant that states the conversion of a column is taken out again."""
-        conversions, twice, notes = list(self.conversions), 1.0, list(self.notes)
-        for constant in self.constants:
-            for conversion in conversions:
-                if math.isclose(constant, conversion[0], rel_tol=_SAME):
-                    conversions.remove(conversion)
-                    twice *= constant
-                    shown = f"{constant:g}" if constant >= 1 else f"1/{1 / constant:g}"
-                    notes.append(f"the factor {shown} is the unit of {conversion[1]!r}, applied once")
-                    break
+        """Its product done: constants that state the conversion of a column are taken out again."""
+        constants, twice, notes = list(self.constants), 1.0, list(self.notes)
+        for factor, heading in self.conversions:
+            for constant in (stating := _stating(factor, constants)):
+                constants.remove(constant)
+            if stating:
+                twice *= (stated := math.prod(stating))
+                shown = f"{stated:g}" if stated >= 1 else f"1/{1 / stated:g}"
+                notes.append(f"the factor {shown} is the unit of {heading!r}, applied once")
         mine = self.value
         value = mine if twice == 1.0 else (lambda cells: mine(cells) / twice)
         return replace(self, value=value, conversions=(), constants=(), notes=tuple(notes))
+
+
+def _stating(factor: float, constants: Sequence[float]) -> tuple[float, ...]:
+    """The fewest constants whose product is a conversion (2, pi and 1/60 of rpm); none if no product is."""
+    some = (one for n in range(1, len(constants) + 1) for one in combinations(constants, n))
+    return next((one for one in some if math.isclose(math.prod(one), factor, rel_tol=_SAME)), ())
 
 
 class _Parser:
@@ -140,16 +147,21 @@ class _Parser:
             inside = self.sum()
             if self.skip(")") is None:
                 raise self.fail("a closing bracket is missing")
+            if inside.plain and not inside.uses:
+                return _number(float(inside.value(_no_cells)))
             return inside
         if rest[:1] in ("'", '"') and rest.find(rest[0], 1) > 0:
             heading = rest[1 : rest.index(rest[0], 1)]
             self.at += len(heading) + 2
             return self.column(heading)
-        number = _NUMBER.match(rest)
+        number = _DIGITS.match(rest)
         if number:
             self.at += number.end()
             return self.constant(float(number[0]))
         name = _NAME.match(rest)
+        if name and name[0] == "pi":
+            self.at += name.end()
+            return self.constant(math.pi)
         if name:
             return self.column(name[0])
         raise self.fail(
@@ -157,14 +169,21 @@ class _Parser:
         )
 
     def constant(self, value: float) -> _Term:
+        unit = self.unit()
+        if unit is None:
+            return _number(value)
+        return replace(_constant(value * unit.factor), dimension=unit.dimension, plain=False)
+
+    def unit(self) -> Unit | None:
+        """The unit between square brackets that comes next; None if there is none."""
         bracket = re.match(r"\s*\[([^\]]*)\]", self.text[self.at :])
         if not bracket:
-            return replace(_constant(value), constants=(value,) if value != 0 else ())
+            return None
         unit = parse(bracket[1].strip())
         if unit is None:
             raise self.fail(f"{bracket[1]!r} is no unit; write 0.5[V], 0.033[m] or 0.01[V*s/rad]")
         self.at += bracket.end()
-        return replace(_constant(value * unit.factor), dimension=unit.dimension, plain=False)
+        return unit
 
     def column(self, heading: str) -> _Term:
         if heading not in self.headings:
@@ -173,7 +192,10 @@ class _Parser:
             raise self.fail(
                 f"no column {heading!r}; " + (f"did you mean {near[0]!r}?" if near else f"it has {known}")
             )
-        index, unit = self.headings.index(heading), self.unit_of(heading)
+        index, unit, behind = self.headings.index(heading), self.unit_of(heading), self.unit()
+        if unit is not None and behind not in (None, unit):
+            raise self.fail(f"the heading {heading!r} says another unit than the brackets behind it")
+        unit = unit or behind
         if unit is None:
             return _Term(lambda cells: cells(index), uses=(index,))
         factor, offset = unit.factor, unit.offset
@@ -198,6 +220,15 @@ def _constant(value: float) -> _Term:
     return _Term(lambda cells: np.array(value))
 
 
+def _number(value: float) -> _Term:
+    """A constant without a unit, that may state a conversion."""
+    return replace(_constant(value), constants=(value,) if value != 0 else ())
+
+
+def _no_cells(index: int) -> Array:
+    raise AssertionError("a number needs no column")
+
+
 def _added(one: _Term, other: _Term, sign: float) -> _Term:
     first, second = one.value, other.value
     return replace(
@@ -211,7 +242,7 @@ def _added(one: _Term, other: _Term, sign: float) -> _Term:
 
 def is_formula(text: str, headings: Sequence[str]) -> bool:
     """Whether a text that is no heading is meant as a formula, and not as a heading with a slip in it."""
-    if re.search(r"[*/+]", text):
+    if re.search(r"[*/+]|\[.*\]$", text):
         return True
     return any(piece.strip("()'\" ") in headings for piece in text.split("-"))
 
