@@ -309,6 +309,23 @@ def test_temperatures_of_no_winding_are_suspected(tmp_path):
     assert any("counts of a converter" in note for note in read(tmp_path, content).notes)
 
 
+@pytest.mark.parametrize("duty", ["duty_pct", "PWM (%)", "Tastgrad in %", "pwm", "PWM value"])
+@pytest.mark.parametrize("supply", ["vbat_V", "Batt V", "U_bat [V]", "supply", "bus mV"])
+def test_duty_times_supply_is_read_as_the_refusal_says(tmp_path, duty, supply):
+    full, volts = 100 if "%" in duty or "pct" in duty else 255, 1000 if "mV" in supply else 1
+    content = text(
+        (TIME, VOLTAGE / 12 * full, 12 * volts + 0 * TIME, SPEED), ("time_s", duty, supply, "speed_rad_s")
+    )
+    with pytest.raises(DataError) as refused:
+        read(tmp_path, content)
+    words = shlex.split(
+        str(refused.value).partition("; duty times supply is ")[2].replace(";", " ").replace(",", " ")
+    )
+    assert "--voltage-commanded" in words
+    recording = read(tmp_path, content, [words[words.index("--column") + 1]])
+    np.testing.assert_allclose(recording.channels["voltage"], VOLTAGE, rtol=1e-5)
+
+
 def test_where_no_unit_is_given_another_is_said_as_the_note_does(tmp_path):
     plain = text((TIME, VOLTAGE, SPEED), ("time_s", "voltage_V", "my speed"))
     taken = read(tmp_path, plain, ["speed=my speed"])

@@ -71,7 +71,11 @@ def test_by_hand(quantity, formula, expected):
         ("speed", "tacho_V", "speed=tacho_V/0.01[V*s/rad]"),
         ("speed", "encoder_counts", "--column 'angle=encoder_counts/1024[counts/rev]'"),
         ("voltage", "duty_pct", "--column 'voltage=duty_pct*SUPPLY_V/100'"),
-        ("voltage", "duty_pct*12", "comes out in 1, voltage is in V; give a constant its unit, as in 12[V]"),
+        (
+            "voltage",
+            "duty_pct*12",
+            "comes out in 1, voltage is in V; give a column or a constant its unit, as in supply[V]",
+        ),
         ("voltage", "vbat_V*vbat_V", "voltage is in V"),
         ("speed", "f_Hz/5", "comes out in cycle/s"),
         ("speed", "wheel_velocity_m_s/0.03", "comes out in m/s"),

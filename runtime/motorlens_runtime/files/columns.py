@@ -186,7 +186,8 @@ def _cure(quantity: str, headings: Sequence[str]) -> str:
     supply = next((h for h in headings if _SUPPLY.search(h)), None)
     percent = duty is not None and unit_in(duty) is not None
     if duty and supply:
-        share = f"{duty}*{supply}/100" if percent else f"{duty}/255*{supply}"
+        volts = supply if unit_in(supply) is not None else f"{supply}[V]"
+        share = f"{duty}*{volts}/100" if percent else f"{duty}/255*{volts}"
         full = "" if percent else ", if 255 is full duty"
         return f"duty times supply is --column 'voltage={share}'{full}; add --voltage-commanded, it was not measured"
     if like := candidates(quantity, headings):
@@ -265,7 +266,7 @@ def _computed(text: str, headings: Sequence[str], quantity: str, unit: str | Non
     else:
         raise DataError(
             f"{where}: --column {quantity}={text}: comes out in {name_of(formula.dimension)}, {quantity} is in "
-            f"{_written(canonical)}; give a constant its unit, as in 12[V] or 0.033[m]"
+            f"{_written(canonical)}; give a column or a constant its unit, as in supply[V] or 0.033[m]"
         )
     return replace(column, formula=formula)
 
