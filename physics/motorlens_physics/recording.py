@@ -141,7 +141,11 @@ def under(recording: Recording, terminal: str | None = None, shaft: str | None =
         for quantity, kind, word in (("terminal", Terminal, terminal), ("shaft", Shaft, shaft))
         if word is not None
     }
-    return replace(recording, channels={**recording.channels, **tied})
+    channels = {**recording.channels, **tied}
+    before, after = (gaps_and_channels(recording.time_s, shown) for shown in (recording.channels, channels))
+    # A suspicion that the words answer is one no more.
+    notes = tuple(note for note in recording.notes if note in after or note not in before)
+    return replace(recording, channels=channels, notes=notes)
 
 
 def inputs_of(

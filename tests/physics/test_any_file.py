@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.reading.clock import steady
-from motorlens_physics.recording import Recording, read_recording
+from motorlens_physics.recording import Recording, read_recording, under
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.csv_stream import CsvStream
 from motorlens_runtime.files.parquet_stream import ParquetStream
@@ -357,7 +357,12 @@ def test_the_voltage_of_a_supply_is_suspected_where_the_motor_stands_still_under
     on = TIME < 0.3
     supply = (TIME, np.where(on, 37.0, 38.0), 20.0 * on, 270.0 * on)
     said = "the voltage stays at 38 V while no current flows"
-    assert any(said in note for note in read(tmp_path, text(supply)).notes)
+    recording = read(tmp_path, text(supply))
+    assert any(said in note for note in recording.notes)
+    # Once that is answered nobody asks again, and the rest is still said.
+    tied = under(recording, "current", "turned")
+    assert set(recording.notes) - set(tied.notes) == {note for note in recording.notes if said in note}
+    assert under(recording, "driven").notes == recording.notes
     # Switched off itself, held by stiction below half of the voltage, or without a current on record: nothing is said.
     for voltage in (np.where(on, 37.0, 0.0), np.where(on, 37.0, 5.0)):
         assert not any(

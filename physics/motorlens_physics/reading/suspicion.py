@@ -5,6 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.conditions import Terminal
+
 Array = NDArray[np.float64]
 
 # A word for "no value" stands alone, is a whole number, and comes back: so often, for so many samples, so many times as far
@@ -122,6 +124,7 @@ def standstill(channels: Mapping[str, Array]) -> list[str]:
     if not {"voltage", "current", "speed"} <= set(channels):
         return []
     v, i, w = (np.abs(np.nan_to_num(channels[q])) for q in ("voltage", "current", "speed"))
+    v = v * (channels.get("terminal", 0 * v) == Terminal.DRIVEN)
     if not (v.max() and i.max() and w.max()):
         return []
     still = (i < _STILL * i.max()) & (w < _STILL * w.max())
