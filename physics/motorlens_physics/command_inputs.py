@@ -111,8 +111,12 @@ def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) 
 
 def input_words(arguments: argparse.Namespace) -> list[str]:
     """The flags as they were typed, for the line that repeats a command."""
-    words = ["--motor", arguments.motor]
-    words += ["--make", arguments.make] if arguments.make else []
+    return ["--motor", arguments.motor, *reading_words(arguments)]
+
+
+def reading_words(arguments: argparse.Namespace) -> list[str]:
+    """All of them but the motor file: how it and the recordings were read."""
+    words = ["--make", arguments.make] if arguments.make else []
     words += [word for column in arguments.column for word in ("--column", column)]
     words += ["--voltage-commanded"] if arguments.voltage_commanded else []
     words += [f"--no-value={number}" for number in arguments.no_value or ()]

@@ -7,9 +7,20 @@ from motorlens_workbench.commands import add
 from motorlens_workbench.report.json import next_command
 
 DOCUMENT = {
-    "motor": "my motor.toml", "recordings": ["run 1.csv", "run2.csv"], "chosen": ["dead_current_sensor", "coulomb_friction"],
+    "motor": "my motor.toml",
+    "recordings": ["run 1.csv", "run2.csv"],
+    "options": [
+        "--column",
+        "voltage=duty*supply [V]",
+        "--range",
+        "2:8.5",
+        "--terminal",
+        "current",
+        "--driven",
+    ],
+    "chosen": ["dead_current_sensor", "coulomb_friction"],
     "candidates": [{"name": "dead_current_sensor", "gain": 0.0}, {"name": "coulomb_friction", "gain": 40.0}],
-}  # fmt: skip
+}
 
 
 def test_it_is_understood_by_add_and_names_what_can_be_added():
@@ -19,6 +30,16 @@ def test_it_is_understood_by_add_and_names_what_can_be_added():
     given = parser.parse_args(words[2:])
     assert words[:2] == ["motorlens", "add"] and given.effect == "coulomb_friction"
     assert given.motor == "my motor.toml" and given.fit == ["run 1.csv", "run2.csv"]
+    assert given.column == ["voltage=duty*supply [V]"] and given.range == ["2:8.5"]
+    assert given.terminal == "current" and given.driven
+
+
+def test_what_was_made_better_is_made_better_again_beside_it():
+    motors = ["mellah2016"]
+    for _ in range(3):
+        words = shlex.split(next_command({**DOCUMENT, "motor": motors[-1]}))
+        motors.append(words[words.index("-o") + 1])
+    assert len(set(motors)) == 4, motors
 
 
 def test_there_is_none_where_only_a_dead_channel_was_named():

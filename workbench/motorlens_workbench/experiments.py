@@ -140,7 +140,6 @@ def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Exper
     if group is None:
         return None
     asked = _Question.of(found, group)
-    names = ", ".join(group)
     recorded = tuple(sorted({c for run in found.runs for c in run.channels}))
     known = tuple(sorted({q for run in found.runs for q in run.known if q == "load_torque"}))
     for measured, also, bare in _ways(recorded, known):
@@ -154,7 +153,7 @@ def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Exper
             seconds, name = min(enough)
             how = f" with the {_said(also)} measured as well" if also else ""
             how += " with nothing on the shaft, the torque sensor taken off" if bare else ""
-            why = f"run {name} for {seconds:.0f} s{how}; it tells {names} apart"
+            why = f"run {name} for {seconds:.0f} s{how}"
             return Experiment(name, group, round(seconds, 1), why, also, bare)
     check = tuple(dict.fromkeys(channel for name in group if (channel := _channel_of(name))))
     return Experiment(

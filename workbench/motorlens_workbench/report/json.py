@@ -1,8 +1,10 @@
 """The diagnosis as JSON (schema motorlens.diagnose/1) and as text."""
 
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,9 +28,16 @@ SHOWN = 12
 
 
 def to_json(
-    found: Finding, verdict: Verdict, experiment: Experiment | None, recordings: Sequence[str], motor: str
-) -> dict[str, Any]:
-    """The document of `motorlens diagnose --json`, schema `motorlens.diagnose/1`."""
+    found: Finding, verdict: Verdict, experiment: Experiment | None, recordings: Sequence[str], motor: str,
+    options: Sequence[str] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """The document of `motorlens diagnose --json`, schema `motorlens.diagnose/1`.
+
+    Args:
+        found, verdict, experiment: what it says.
+        recordings, motor: the files.
+        options: how they were read, as flags of the command line.
+    """
     first, last = seen_named(found.outcome.first), seen_named(found.outcome.last)
     dead = {one.name for one in found.dead}
     names = [name for name in {**first, **last, **dict.fromkeys(verdict.chosen)} if name not in dead]
@@ -40,6 +49,7 @@ def to_json(
         "schema": "motorlens.diagnose/1",
         "motor": motor,
         "recordings": list(recordings),
+        "options": list(options),
         "verdict": verdict.kind,
         "sentence": sentence(found, verdict),
         "chosen": list(verdict.chosen),
@@ -224,10 +234,11 @@ def to_text(document: Mapping[str, Any]) -> str:
         rows += ["", *document["cannot_tell"]]
     if "separating_experiment" in document:
         test = document["separating_experiment"]
-        rows += ["", f"To tell {', '.join(test['separates'])} apart: {test['why']}"]
+        names = ", ".join(name.replace("_", " ") for name in test["separates"])
+        rows += ["", f"To tell {names} apart: {test['why']}"]
     if command := next_command(document):
         begin = "To go on with the likeliest" if "separating_experiment" in document else "Next"
-        rows += ["", f"{begin}: {command}, with the options of this command"]
+        rows += ["", f"{begin}: {command}"]
     return "\n".join(rows)
 
 
@@ -237,8 +248,11 @@ def next_command(document: Mapping[str, Any]) -> str:
     addable = [name for name in document["chosen"] if won.get(name, 0.0) > 0]
     if not addable:
         return ""
-    words = ["motorlens", "add", addable[0], "--motor", document["motor"], "--fit", *document["recordings"]]
-    return shlex.join([*words, "-o", "better.toml"])
+    words = ["motorlens", "add", addable[0], "--motor", document["motor"], *document["options"]]
+    # Of better.toml comes better2.toml: the old file is kept.
+    before = re.fullmatch(r"better(\d*)\.toml", Path(document["motor"]).name)
+    better = f"better{int(before[1] or 1) + 1}.toml" if before else "better.toml"
+    return shlex.join([*words, "--fit", *document["recordings"], "-o", better])
 
 
 def size_text(entry: Mapping[str, Any]) -> str:
