@@ -5,8 +5,8 @@ import pytest
 
 from motorlens_physics.estimate.converter import (
     Converter,
+    converter_error,
     converter_of,
-    converter_sd,
     leaning,
     quantisation_step,
     saturated,
@@ -83,15 +83,34 @@ def test_a_plateau_inside_the_range_is_not_the_end_of_it():
 
 @pytest.mark.parametrize("held", [1, 20, 400])
 @pytest.mark.parametrize("sd", [0.0, 0.03, 0.09, 0.15, 0.3])
-def test_a_converters_error_tells_as_little_as_white_noise_of_its_deviation(sd, held):
-    """Of signals that stay for a time: the mean of so many errors, drawn, is as far off as that of white noise is."""
+def test_a_converters_error_is_as_large_and_lasts_as_long_as_drawn_ones(sd, held):
+    """Of signals that stay for a time: the scatter of so many errors, drawn, and that of their mean."""
     rng = np.random.default_rng(5)
     samples = 200 * max(held, 100)
-    found, drawn = [], []
+    size, slow, drawn, mean = [], [], [], []
     for _ in range(30):
         truth = np.repeat(rng.uniform(-20 * STEP, 20 * STEP, samples // held), held)
         noise = sd * rng.standard_normal(samples)
         reading = np.round((truth + noise) / STEP) * STEP
-        found.append(converter_sd(reading))
-        drawn.append(np.mean(reading - truth - noise - converter_of(reading).bias(truth)) * np.sqrt(samples))
-    assert 0.65 < np.median(found) / np.std(drawn) < 1.7
+        converter = converter_of(reading)
+        white, lasts = converter_error(reading, converter.step, converter.lean)
+        error = reading - truth - noise - converter.bias(truth)
+        variance, keeps = (lasts.variance, lasts.keeps()) if lasts else (0.0, np.zeros(samples - 1))
+        beside, before = 0.0, 0.0
+        for keep in keeps:
+            before = keep * (1 + before)
+            beside += before
+        size.append(white + variance)
+        slow.append(white + variance * (1 + 2 * beside / samples))
+        drawn.append(np.mean(error**2))
+        mean.append(np.mean(error) * np.sqrt(samples))
+    assert 0.9 < np.sqrt(np.median(size) / np.median(drawn)) < 1.6
+    assert 0.65 < np.sqrt(np.median(slow)) / np.std(mean) < 1.7
+
+
+def test_what_lasts_goes_on_where_the_signal_moves():
+    staying = np.concatenate([np.zeros(100), np.arange(50) * 2.0, np.full(200, 100.0)])
+    lasts = converter_error(staying, 1.0)[1]
+    assert lasts is not None
+    keeps = lasts.keeps()
+    assert np.all(keeps[:99] > 0.97) and np.all(keeps[101:148] == 0) and np.all(keeps[151:] > 0.98)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations, sums
+from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations, spread, sums
 from motorlens_physics.estimate.model import sensitivities_of
 from motorlens_physics.estimate.noise import first_noise, likelier
 from motorlens_physics.estimate.run import prepare
@@ -34,13 +34,13 @@ def space(request: pytest.FixtureRequest) -> StateSpace:
     noise[4, 1] = np.inf
     found = StateSpace(
         0.4 * rng.standard_normal((SAMPLES - 1, states, states + 6)), np.array([0, 1]), np.array([0, 1, 1]),
-        np.array([-1, -1]), np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise,
+        np.full((2, 2), -1), np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise,
         np.array([0.2, *np.zeros(states - 1)]),
     )  # fmt: skip
     if not lasting:
         return found
     return replace(
-        found, shows=np.array([0, states - 1]), balances=np.array([0, 1, 1, 0, -1]), drifts=np.array([-1, 4]),
+        found, shows=np.array([0, states - 1]), balances=np.array([0, 1, 1, 0, -1]), drifts=np.array([[-1, -1], [4, -1]]),
         holds=np.array([True, False, True, False, True]), variance=np.array([0.5, 0.8, 0.3, 0.4, 0.7]),
         keeps=np.column_stack([keeps, np.full(SAMPLES - 1, 0.6), np.linspace(0.5, 0.8, SAMPLES - 1)]),
     )  # fmt: skip
@@ -50,7 +50,7 @@ def response(space: StateSpace, start: np.ndarray, forcing: np.ndarray) -> np.nd
     """(N * C,) what the channels show of a start (n,) and disturbances (N, D): written out sample by sample."""
     x, shown = np.asarray(start, dtype=np.float64), []
     for k in range(SAMPLES):
-        drift = [forcing[k, d] if d >= 0 else 0.0 for d in space.drifts]
+        drift = [sum(forcing[k, d] for d in own if d >= 0) for own in space.drifts]
         shown.append((x[space.shows].T + drift).T)
         if k + 1 < SAMPLES:
             phi, now, then = np.split(space.matrices[k], [len(x), len(x) + 3], axis=1)
@@ -137,6 +137,12 @@ def test_scores_are_the_slopes_of_the_likelihood(space: StateSpace) -> None:
         assert of_channels[:, c] == pytest.approx(
             [weighted[mine] @ weighted[mine], np.trace(dense.inverse[np.ix_(mine, mine)])], rel=1e-10
         )
+
+
+def test_what_disturbances_bring_about_is_the_covariance_without_the_sensors(space: StateSpace) -> None:
+    everywhere = replace(space, noise=np.ones((SAMPLES, CHANNELS)))
+    brought = np.diagonal(Dense(everywhere).whole).reshape(SAMPLES, CHANNELS) - 1.0
+    np.testing.assert_allclose(spread(space), brought.mean(axis=0), rtol=1e-10)
 
 
 def noisy(held: bool, size: float, *, dithered: bool = False) -> tuple[Recording, MotorFile]:

@@ -25,6 +25,8 @@ MOST = 0.5
 COARSEST_RANGE, WHOLE = 256, 0.2
 # Harmonics of a converter's error that are looked at.
 HARMONICS = 20
+# What lasts is left out where it adds less than this share to the power of the slowest.
+NEGLIGIBLE = 0.1
 # Standard deviation of a lean that is computed from the noise; samples in a piece.
 BELIEF, PIECE = 0.1, 50
 
@@ -121,39 +123,62 @@ def leaning(converter: Converter, truth: Array, error: Array) -> Converter:
     return replace(converter, lean=float(np.clip(lean, 0.0, MOST)))
 
 
-def converter_sd(y: Array) -> float:
-    """Standard deviation of white noise that tells as little as the error of a channel's converter; 0 if it has none.
+@dataclass(frozen=True, eq=False)
+class LastingError:
+    """The part of a converter's error that no noise blurs: it stays while the signal stays between two levels.
+
+    Attributes:
+        variance: in the unit of the channel squared.
+        stays: (N,) for how many samples the signal stays within a step.
+    """
+
+    variance: float
+    stays: Array
+
+    def keeps(self) -> Array:
+        """(N - 1,) share of the error that remains at the next sample, so that all the time that it stays is one sample."""
+        stays = np.minimum(self.stays[1:], self.stays[:-1])
+        return np.asarray((stays - 1) / (stays + 1))
+
+
+def converter_error(y: Array, step: float, lean: float = 0.0) -> tuple[float, LastingError | None]:
+    """What a converter adds to a channel: the variance of white noise, and what lasts; None if that does not matter.
 
     Noise makes the error another one at every sample. What it does not blur, and `Converter.bias` does not know, stays while
-    the signal stays between two levels, and all that time counts as one sample: Gray and Stockham (1993), Dithered
-    quantizers, doi:10.1109/18.256489.
+    the signal stays between two levels: Gray and Stockham (1993), Dithered quantizers, doi:10.1109/18.256489.
 
     Args:
-        y: (N,) as recorded; samples that are missing are not finite.
+        y: (N,) as recorded, without gaps.
+        step: least significant bit; 0 if it has no converter.
+        lean: what is known of its lean.
 
     >>> held, noise = np.repeat(np.arange(40) * 7.3, 100), np.random.default_rng(0).standard_normal(4000)
-    >>> [round(converter_sd(np.round(held + sd * noise)) * 12**0.5, 1) for sd in (0.1, 0.5)]
-    [3.6, 1.0]
+    >>> white, lasts = converter_error(np.round(held + 0.1 * noise), 1.0)
+    >>> round(white * 12, 2), round(lasts.variance * 12, 2), float(np.median(lasts.stays))
+    (0.5, 0.5, 100.0)
+    >>> converter_error(np.round(held + 0.5 * noise), 1.0)[1] is None
+    True
     """
-    step = quantisation_step(y)
     if not step:
-        return 0.0
-    there = y[np.isfinite(y)]
-    stays = len(there) / (1 + _moves(smoothed(there, step), step))
+        return 0.0, None
     # Harmonics of the mean error between two levels: without noise, their squares add up to step^2 / 12.
     order = np.arange(1, HARMONICS + 1)
-    mean = np.exp(-2 * (np.pi * order * noise_sd(there, step) / step) ** 2)
-    mean[0] -= min(mean[0], MOST)
+    mean = np.exp(-2 * (np.pi * order * noise_sd(y, step) / step) ** 2)
+    mean[0] -= min(mean[0], lean)
     share = float(np.sum((mean / order) ** 2) / np.sum(1.0 / order**2))
-    return step * float(np.sqrt((1 + share * (stays - 1)) / 12))
+    stays = _stays(smoothed(y, step), step)
+    all_of_it = step**2 / 12
+    if share * (float(np.mean(stays)) - 1) < NEGLIGIBLE:
+        return all_of_it, None
+    return (1 - share) * all_of_it, LastingError(share * all_of_it, stays)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _moves(y, step):  # type: ignore[no-untyped-def]
-    """How often a signal (N,) has gone on by a step."""
-    count, since = 0, y[0]
-    for now in y:
-        if abs(now - since) >= step:
-            count += 1
-            since = now
-    return count
+def _stays(y, step):  # type: ignore[no-untyped-def]
+    """(N,) for how many samples a signal (N,) stays before it has gone on by a step."""
+    stays, since = np.empty(len(y)), 0
+    for k in range(1, len(y) + 1):
+        if k == len(y) or abs(y[k] - y[since]) >= step:
+            stays[since:k] = k - since
+            since = k
+    return stays

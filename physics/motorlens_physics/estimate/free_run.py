@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.innovations import spread
 from motorlens_physics.estimate.model import TOLERANCE, Model, inputs_of, motor_of, predict, start_of
-from motorlens_physics.estimate.noise import BALANCES, TORQUE, Noise
+from motorlens_physics.estimate.noise import INPUTS, Noise
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
-from motorlens_physics.estimate.run import STATE_OF, Run
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import noise_sd, roughness
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensitivity import linearise
@@ -97,62 +97,14 @@ def floor_of(model: Model, run: Run, r: int, error: Array, *, averaged: int = 1)
             )
         ]
     )
-    own = np.minimum(run.noise.channels, rough**2 + run.quantum**2)
-    return np.sqrt(own / averaged + stirred_by_inputs(model, run, r, run.noise))
+    white = np.minimum(run.noise.channels, rough**2 + run.quantum**2)
+    lasting = run.noise.lasting_of_channels(run)
+    return np.sqrt(white / averaged + lasting + stirred_by_inputs(model, run, r, run.noise))
 
 
 def stirred_by_inputs(model: Model, run: Run, r: int, noise: Noise) -> Array:
     """(C,) variance that noise of the measured inputs stirs up in what the model shows."""
     inputs = inputs_of(model, run, r)
     _, linear = linearise(motor_of(model, run), inputs, start_of(model, r), smooth=True, tolerance=TOLERANCE)
-    power = np.zeros(len(linear.states))
-    hold = np.array(inputs.hold)[BALANCES[:TORQUE]]
-    _mean_power(linear.matrices, BALANCES[:TORQUE], hold, noise.disturbances[:TORQUE], power)
-    return power[[linear.states.index(STATE_OF[channel]) for channel in run.channels]]
-
-
-@njit(cache=True, nogil=True)
-def _mean_power(matrices, balances, holds, variance, power):  # type: ignore[no-untyped-def]
-    """Mean variance of each state that white disturbances stir up."""
-    samples, n = matrices.shape[0], matrices.shape[1]
-    P, T = np.zeros((n, n)), np.zeros((n, n))
-    for k in range(samples):
-        for r in range(n):
-            for c in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += matrices[k, r, q] * P[q, c]
-                T[r, c] = total
-        for r in range(n):
-            for c in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += T[r, q] * matrices[k, c, q]
-                for d in range(len(balances)):
-                    j = balances[d]
-                    if holds[d]:
-                        a = matrices[k, r, n + j] + matrices[k, r, n + 3 + j]
-                        b = matrices[k, c, n + j] + matrices[k, c, n + 3 + j]
-                        total += a * b * variance[d]
-                    else:
-                        # A sample is shared by two intervals: its two parts go together.
-                        first = matrices[k, r, n + j] * matrices[k, c, n + j]
-                        last = matrices[k, r, n + 3 + j] * matrices[k, c, n + 3 + j]
-                        total += (first + last) * variance[d]
-                        if k:
-                            for q in range(n):
-                                total += (
-                                    variance[d]
-                                    * matrices[k, r, q]
-                                    * matrices[k - 1, q, n + 3 + j]
-                                    * matrices[k, c, n + j]
-                                )
-                                total += (
-                                    variance[d]
-                                    * matrices[k, c, q]
-                                    * matrices[k - 1, q, n + 3 + j]
-                                    * matrices[k, r, n + j]
-                                )
-                P[r, c] = total
-        for r in range(n):
-            power[r] += P[r, r] / samples
+    of_inputs = replace(run, lasting={name: error for name, error in run.lasting.items() if name in INPUTS})
+    return spread(noise.of_inputs(len(run.channels)).space(of_inputs, linear, run.there))

@@ -37,7 +37,7 @@ class StateSpace:
         matrices: (N - 1, n, n + 6) Phi and the Gammas of `sensitivity.Linearisation`.
         shows: (C,) the state that each channel shows.
         balances: (D,) the balance (0 voltage, 1 torque, 2 heat) that each disturbance enters; -1 is none.
-        drifts: (C,) the disturbance that each channel shows besides its state, as it is; -1 is none.
+        drifts: (C, T) disturbances that each channel shows besides its state, as they are; -1 is none.
         holds: (D,) whether a disturbance holds from its sample to the next, or runs linearly.
         keeps: (N - 1, D) share of a disturbance that remains at the next sample; 0 is white.
         variance: (D,) of a disturbance, stationary.
@@ -108,6 +108,16 @@ def sums(space: StateSpace, columns: Array, error: Array, blocks: int) -> Sums:
     return Sums(total[:-1, :-1], scores, float(total[-1, -1]))
 
 
+def spread(space: StateSpace) -> Array:
+    """(C,) mean variance that the disturbances bring about in what the channels show, beside the sensors' white noise."""
+    power = np.zeros(len(space.shows))
+    _spread(
+        _each(space), space.matrices, space.shows, space.drifts, tuple(space.balances.tolist()), space.holds,
+        space.keeps, space.variance, np.diag(np.concatenate([space.start, space.variance])), power,
+    )  # fmt: skip
+    return power
+
+
 def _each(space: StateSpace) -> tuple[float, ...] | Array:
     """As long as there are states: a tuple, whose length the compiler knows, for the textbook's; else one code for all."""
     n = space.matrices.shape[1]
@@ -175,6 +185,65 @@ def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P):  # type: ignore[no-untyped-def]
+    """The covariance P of states and disturbances, from sample k - 1 to k."""
+    n, count = len(each), len(balances)
+    s = n + count
+    # What the states become of states and disturbances, times their covariance.
+    for r in range(n):
+        for c in range(s):
+            total = 0.0
+            for q in range(n):
+                total += matrices[k - 1, r, q] * P[q, c]
+            for d in range(count):
+                total += G[r, d] * P[n + d, c]
+            A[r, c] = total
+    for d in range(count):
+        keep = keeps[k - 1, d]
+        fresh = variance[d] * (1.0 - keep * keep)
+        for e in range(d + 1):
+            total = keep * keeps[k - 1, e] * P[n + e, n + d]
+            if d == e:
+                total += fresh
+            P[n + d, n + e] = total
+            P[n + e, n + d] = total
+        for r in range(n):
+            total = keep * A[r, n + d] + late[r, d] * fresh
+            P[r, n + d] = total
+            P[n + d, r] = total
+    for r in range(n):
+        for c in range(r, n):
+            total = 0.0
+            for q in range(n):
+                total += A[r, q] * matrices[k - 1, c, q]
+            for d in range(count):
+                keep = keeps[k - 1, d]
+                total += A[r, n + d] * G[c, d]
+                total += late[r, d] * late[c, d] * variance[d] * (1.0 - keep * keep)
+            P[r, c] = total
+            P[c, r] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _spread(  # type: ignore[no-untyped-def]
+    each, matrices, shows, drifts, balances, holds, keeps, variance, P, power
+):
+    n, count = len(each), len(balances)
+    A, G, late = np.zeros((n, n + count)), np.zeros((n, count)), np.zeros((n, count))
+    samples = len(keeps) + 1
+    for k in range(samples):
+        if k:
+            _entering(matrices, balances, holds, keeps, k - 1, G, late)
+            _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
+        for c in range(len(shows)):
+            h = shows[c]
+            power[c] += P[h, h] / samples
+            for d in drifts[c]:
+                if d >= 0:
+                    power[c] += (2.0 * P[h, n + d] + P[n + d, n + d]) / samples
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _filter(  # type: ignore[no-untyped-def]
     each, matrices, shows, drifts, balances, holds, keeps, variance, noise, begin, P, z, y, white, scale, gain
 ):
@@ -187,39 +256,7 @@ def _filter(  # type: ignore[no-untyped-def]
         k = begin + row
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            # What the states become of states and disturbances, times their covariance.
-            for r in range(n):
-                for c in range(s):
-                    total = 0.0
-                    for q in range(n):
-                        total += matrices[k - 1, r, q] * P[q, c]
-                    for d in range(count):
-                        total += G[r, d] * P[n + d, c]
-                    A[r, c] = total
-            for d in range(count):
-                keep = keeps[k - 1, d]
-                fresh = variance[d] * (1.0 - keep * keep)
-                for e in range(d + 1):
-                    total = keep * keeps[k - 1, e] * P[n + e, n + d]
-                    if d == e:
-                        total += fresh
-                    P[n + d, n + e] = total
-                    P[n + e, n + d] = total
-                for r in range(n):
-                    total = keep * A[r, n + d] + late[r, d] * fresh
-                    P[r, n + d] = total
-                    P[n + d, r] = total
-            for r in range(n):
-                for c in range(r, n):
-                    total = 0.0
-                    for q in range(n):
-                        total += A[r, q] * matrices[k - 1, c, q]
-                    for d in range(count):
-                        keep = keeps[k - 1, d]
-                        total += A[r, n + d] * G[c, d]
-                        total += late[r, d] * late[c, d] * variance[d] * (1.0 - keep * keep)
-                    P[r, c] = total
-                    P[c, r] = total
+            _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
             for r in range(n):
                 for m in range(width):
                     total = 0.0
@@ -241,22 +278,27 @@ def _filter(  # type: ignore[no-untyped-def]
                 for m in range(width):
                     white[row, c, m] = 0.0
                 continue
-            power = P[h, h] + noise[k, c]
-            o = n + drifts[c]
-            if o >= n:
-                power += 2.0 * P[h, o] + P[o, o]
+            for r in range(s):
+                K[r] = P[r, h]
+            for m in range(width):
+                white[row, c, m] = y[row, c, m] - z[h, m]
+            for d in drifts[c]:
+                if d >= 0:
+                    for r in range(s):
+                        K[r] += P[r, n + d]
+                    for m in range(width):
+                        white[row, c, m] -= z[n + d, m]
+            power = K[h] + noise[k, c]
+            for d in drifts[c]:
+                if d >= 0:
+                    power += K[n + d]
             root = np.sqrt(power)
             scale[row, c] = root
             for r in range(s):
-                K[r] = P[r, h] / root
-                if o >= n:
-                    K[r] += P[r, o] / root
+                K[r] /= root
                 gain[row, c, r] = K[r] / root
             for m in range(width):
-                left = y[row, c, m] - z[h, m]
-                if o >= n:
-                    left -= z[o, m]
-                white[row, c, m] = left / root
+                white[row, c, m] /= root
             for r in range(s):
                 for m in range(width):
                     z[r, m] += K[r] * white[row, c, m]
@@ -286,7 +328,7 @@ def _smooth(  # type: ignore[no-untyped-def]
     s, samples, channels = n + count, white.shape[0], white.shape[1]
     G, late, fresh, share = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count), np.zeros(count)
     u, past, W = np.zeros(s), np.zeros(s), np.zeros(s)
-    L, T, at = np.zeros((s, s)), np.zeros((s, s)), np.zeros(2, np.int64)
+    L, T, at = np.zeros((s, s)), np.zeros((s, s)), np.zeros(1 + drifts.shape[1], np.int64)
     for back in range(samples):
         k = samples - 1 - back
         for step in range(channels):
@@ -306,8 +348,11 @@ def _smooth(  # type: ignore[no-untyped-def]
             error = white[k, c] / scale[k, c] - along
             of_channels[0, c] += error**2
             of_channels[1, c] += 1.0 / power + across
-            at[0], at[1] = h, n + drifts[c]
-            shown = 2 if drifts[c] >= 0 else 1
+            at[0], shown = h, 1
+            for d in drifts[c]:
+                if d >= 0:
+                    at[shown] = n + d
+                    shown += 1
             for a in range(shown):
                 u[at[a]] += error
                 for r in range(s):
@@ -387,5 +432,6 @@ __all__: list[Any] = [
     "disturbances",
     "innovations",
     "share_that_remains",
+    "spread",
     "sums",
 ]

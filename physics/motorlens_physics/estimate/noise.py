@@ -34,6 +34,8 @@ BALANCES = np.array([0, 1, 1])
 VOLTAGE, LOAD, TORQUE = range(3)
 # Those of coloured noise, if there are any; and what may pass for physics that is missing, or the other way round.
 COLOURED, UNEXPLAINED = slice(3, None), slice(2, None)
+# The measured inputs, by their positions; a channel of a run comes after them.
+INPUTS = ("voltage", "load_torque")
 # How long the unmeasured torque lasts, in samples: the likelihood chooses. Where the motor follows within a sample, and no
 # load was measured, it may be another one at every sample.
 LASTS, WITHIN_A_SAMPLE = (30.0, 300.0, 3000.0), 1.0
@@ -126,30 +128,59 @@ class Noise:
             lasts_s=np.append(self.lasts_s, np.full(len(looks), samples * run.period_s)),
         )
 
-    def of_input(self, seen: Array, which: int) -> Array:
-        """(N,) noise of a measured input, white and coloured, of what was seen (N, D) of all disturbances."""
-        correlated = seen[:, COLOURED]
-        return seen[:, which] + (correlated[:, which] if correlated.size else 0.0)
+    def of_input(self, run: Run, seen: Array, which: int) -> Array:
+        """(N,) noise of a measured input, white and coloured and its converter's, of what was seen (N, T) of `space`."""
+        own, converters = np.split(seen, [len(self.disturbances)], axis=1)
+        every = [own[:, which], *own[:, COLOURED].T[which : which + 1]]
+        every += [y for y, sensor in zip(converters.T, run.lasting, strict=True) if sensor == INPUTS[which]]
+        return np.asarray(sum(every))
+
+    def of_inputs(self, channels: int) -> "Noise":
+        """With the measured inputs' noise alone, of a run with so many channels."""
+        count, lasts = len(BALANCES) + len(INPUTS), self.lasts_s[: len(BALANCES) + len(INPUTS)]
+        variance = np.append(self.disturbances[:TORQUE], [0.0, *self.disturbances[COLOURED][: len(INPUTS)]])
+        if len(variance) == count:
+            variance, lasts = (np.pad(y, (0, channels), mode="constant") for y in (variance, lasts))
+        return replace(self, channels=np.zeros(channels), disturbances=variance, lasts_s=lasts)
+
+    def lasting_of_channels(self, run: Run) -> Array:
+        """(C,) variance of what lasts of the sensors' own errors: coloured noise, and that of converters."""
+        errors = [run.lasting.get(channel) for channel in run.channels]
+        converters = np.array([0.0 if error is None else error.variance for error in errors])
+        coloured = self.disturbances[COLOURED][len(INPUTS) :]
+        return converters + (coloured if coloured.size else 0.0)
+
+    def all_of(self, run: Run) -> Array:
+        """(T,) variance of all disturbances of `space`: those that were found, and what lasts of converters' errors."""
+        return np.append(self.disturbances, [lasts.variance for lasts in run.lasting.values()])
 
     def space(self, run: Run, linear: Linearisation, used: NDArray[np.bool_]) -> StateSpace:
         """The state-space model of a run's errors; samples (N, C) not `used` are passed over."""
+        sensors = (*INPUTS, *run.channels)
+        coloured_too = sensors if len(self.disturbances) > len(BALANCES) else ()
+        lasting = (*coloured_too, *run.lasting)
+        # The last disturbance of a name is its converter's.
+        first = len(BALANCES) + np.arange(len(lasting))
+        drifts = np.full((len(run.channels), 2), -1)
+        for position, name in zip(first, lasting, strict=True):
+            if name in run.channels:
+                drifts[run.channels.index(name), int(position >= len(self.disturbances))] = position
+        of_input = [INPUTS.index(name) if name in INPUTS else -1 for name in lasting]
         hold = run.inputs.hold
-        sensors = np.where(used, self.channels, np.inf)
-        none = np.full(len(run.channels), -1)
-        drifts, balances, holds = none, BALANCES, np.array([hold[0], hold[1], True])
-        if len(self.disturbances) > len(BALANCES):
-            drifts = len(BALANCES) + TORQUE + np.arange(len(none))
-            balances = np.concatenate([BALANCES, BALANCES[:TORQUE], none])
-            holds = np.concatenate([holds, holds[:TORQUE], none < 0])
         return StateSpace(
             linear.matrices,
             np.array([linear.states.index(STATE_OF[channel]) for channel in run.channels]),
-            balances,
+            np.concatenate([BALANCES, np.array(of_input, dtype=np.int64)]),
             drifts,
-            holds,
-            share_that_remains(run.inputs.time_s, self.lasts_s),
-            self.disturbances,
-            np.ascontiguousarray(sensors),
+            np.array([hold[0], hold[1], True, *(which < 0 or hold[which] for which in of_input)]),
+            np.column_stack(
+                [
+                    share_that_remains(run.inputs.time_s, self.lasts_s),
+                    *(error.keeps() for error in run.lasting.values()),
+                ]
+            ),
+            self.all_of(run),
+            np.ascontiguousarray(np.where(used, self.channels, np.inf)),
             np.zeros(len(linear.states)),
         )
 
@@ -213,11 +244,11 @@ def likelier(
 
 def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[Noise, float]:
     """One step of maximum likelihood from a noise, and twice the negative logarithmic likelihood before it."""
-    total, inputs, sensors = 0.0, np.zeros((2, len(noise.disturbances))), np.zeros((2, len(noise.channels)))
+    total, inputs, sensors = 0.0, np.zeros((2, len(parts[0][0].variance))), np.zeros((2, len(noise.channels)))
     for part, error in parts:
         here = replace(
             part,
-            variance=noise.disturbances,
+            variance=np.append(noise.disturbances, part.variance[len(noise.disturbances) :]),
             noise=np.where(np.isfinite(part.noise), noise.channels, np.inf),
         )
         filtered = innovations(here, error[:, :, None])
@@ -226,7 +257,8 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
         _, of_inputs, of_channels = disturbances(here, filtered)
         inputs, sensors = inputs + of_inputs, sensors + of_channels
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
-    return noise.within(noise.channels * _ratio(sensors), noise.disturbances * _ratio(inputs)), total
+    ratio = _ratio(inputs[:, : len(noise.disturbances)])
+    return noise.within(noise.channels * _ratio(sensors), noise.disturbances * ratio), total
 
 
 def _leap(before: Noise, between: Noise, after: Noise) -> Noise:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.converter import (
     Converter,
+    LastingError,
+    converter_error,
     converter_of,
-    converter_sd,
     leaning,
     quantisation_step,
     saturated,
@@ -74,7 +75,8 @@ class Run:
         angle: (N,) shaft angle, if recorded.
         shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
         there: (N, C) which samples of each output were measured, and not imposed on the motor.
-        quantum: (C,) standard deviation that the converter of an output adds to a sample, see `converter.converter_sd`.
+        quantum: (C,) standard deviation of the white noise that the converter of an output adds to a sample.
+        lasting: sensor -> what lasts of its converter's error, where that matters, see `converter.converter_error`.
         input_step: the least significant bit of voltage and load torque, 0 if continuous.
         corrections: (N, 2) what the sensors of voltage (V) and load torque (N m) showed too little, as a fit expects it
             given all that was measured; None is nothing.
@@ -104,6 +106,7 @@ class Run:
     corrections: Array | None = None
     offset_below: Mapping[str, float] = field(default_factory=dict)
     converters: tuple[Converter, ...] = ()
+    lasting: Mapping[str, LastingError] = field(default_factory=dict)
     turns: bool = True
     shaft: Mapping[str, Array] | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -174,17 +177,22 @@ class Run:
             return self
         late = dict(self.late) | {channel: self.late.get(channel, 0) + samples}
         unmoved = self.unmoved or self
+        lasting = dict(self.lasting)
+        if channel in lasting:
+            lasting[channel] = replace(lasting[channel], stays=_earlier(lasting[channel].stays, samples))
         if channel == "voltage":
             # What was applied is what was recorded later; beyond the end, the last.
             moved = _earlier(self.inputs.voltage_V, samples)
             inputs = replace(self.inputs, voltage_V=moved)
-            return replace(self, inputs=inputs, late=late, unmoved=unmoved)
+            return replace(self, inputs=inputs, late=late, unmoved=unmoved, lasting=lasting)
         c = self.channels.index(channel)
         measured, there = self.measured.copy(), self.there.copy()
         measured[:, c] = _earlier(measured[:, c], samples)
         there[:, c] = _earlier(there[:, c], samples) & _inside(len(there), samples)
         valid = np.all(there, axis=1)
-        return replace(self, measured=measured, there=there, valid=valid, late=late, unmoved=unmoved)
+        return replace(
+            self, measured=measured, there=there, valid=valid, late=late, unmoved=unmoved, lasting=lasting
+        )
 
     @property
     def saturation(self) -> str:
@@ -205,10 +213,11 @@ class Run:
         inputs, measured = self.inputs.part(rows), self.measured[rows]
         shaft = None if self.shaft is None else {name: y[rows] for name, y in self.shaft.items()}
         start = first_states(file, self.channels, measured, inputs.ambient_C, inputs.voltage_V)
+        lasting = {name: replace(one, stays=one.stays[rows]) for name, one in self.lasting.items()}
         return replace(
             self, inputs=inputs, measured=measured, valid=self.valid[rows], there=self.there[rows], every=1, start=start,
             floor=self.floor * np.sqrt(self.every), angle=None if self.angle is None else self.angle[rows], shaft=shaft,
-            corrections=None if self.corrections is None else self.corrections[rows], unmoved=None,
+            corrections=None if self.corrections is None else self.corrections[rows], unmoved=None, lasting=lasting,
         )  # fmt: skip
 
     def liveliest(self, rows: int) -> slice:
@@ -262,6 +271,8 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     every = max(1, -(-rows // ROWS))
     hung: dict[str, tuple[float, float]] = {}
     ends: dict[str, int] = {}
+    converters: list[Converter] = []
+    lasting: dict[str, LastingError] = {}
     for k, channel in enumerate(used):
         y = recording.channels[channel]
         there, hangs, beyond = np.isfinite(y), hanging(y), saturated(y)
@@ -273,7 +284,12 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             hung[channel] = (first, last)
         measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
-        quantum[k] = converter_sd(y)
+        converter = converter_of(y)
+        white, lasts = converter_error(measured[:, k], converter.step, converter.lean)
+        converters.append(converter)
+        quantum[k] = np.sqrt(white)
+        if lasts is not None:
+            lasting[channel] = lasts
         floor[k] = max(quantum[k], 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
     inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
@@ -293,13 +309,18 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         seen = {STATE_OF[c]: measured[:, k] for k, c in enumerate(used) if c != "temperature"}
         shaft = {**rough, **seen}
     coarse_inputs = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
+    shown = {"voltage": inputs.voltage_V, "load_torque": inputs.load_torque_Nm}
+    for (name, y), step in zip(shown.items(), coarse_inputs, strict=True):
+        lasts = converter_error(y, step)[1]
+        if lasts is not None:
+            lasting[name] = lasts
     exact = {
         q: limit for q in ("voltage", *used) if (limit := largest_offset(recording.channels[q])) is not None
     }
     return Run(
         recording.name, inputs, used, measured, np.all(present, axis=1), present, quantum, every, start, known, floor, angle,
         input_step=coarse_inputs,
-        offset_below=exact, converters=tuple(converter_of(recording.channels[q]) for q in used),
+        offset_below=exact, converters=tuple(converters), lasting=lasting,
         shaft=shaft, hung=hung, saturated=ends,
     )  # fmt: skip
 

@@ -140,7 +140,10 @@ class Errors:
         shown = _shown(self.run)
         # A load brakes: what the torque balance got too little, the load sensor showed too much.
         missed = as_shown(
-            self.frame.model, self.run, noise.of_input(seen, VOLTAGE), -noise.of_input(seen, LOAD)
+            self.frame.model,
+            self.run,
+            noise.of_input(self.run, seen, VOLTAGE),
+            -noise.of_input(self.run, seen, LOAD),
         )
         expected = shown + np.column_stack(missed)
         return replace(self, noise=noise, used=used, run=_corrected(self.run, noise, expected))
@@ -153,7 +156,8 @@ def _shown(run: Run) -> Array:
 
 def _corrected(run: Run, noise: Noise, expected: Array) -> Run:
     """The run with its inputs corrected to what was expected (N, 2) of them, smoothed."""
-    spread = [float(np.sqrt(noise.of_input(noise.disturbances[None], which)[0])) for which in (VOLTAGE, LOAD)]
+    power = noise.all_of(run)[None]
+    spread = [float(np.sqrt(noise.of_input(run, power, which)[0])) for which in (VOLTAGE, LOAD)]
     acted = np.column_stack([smoothed(u, sd=sd) for u, sd in zip(expected.T, spread, strict=True)])
     corrections = acted - _shown(run)
     if run.inputs.terminal is not None:

@@ -181,6 +181,8 @@ def _lacking(line: Line) -> _Lacking | None:
 def robust(terms: Array, y: Array) -> tuple[Array, float]:
     """Residuals (M,) of a robust fit of y (M,) by terms (M, k), and their standard deviation by the median."""
     weights = np.ones(len(y))
+    # What a filter leaves of a current long after it has ended is nothing to divide by.
+    terms = np.where(np.abs(terms) < np.finfo(np.float64).tiny, 0.0, terms)
     for _ in range(ROUNDS):
         root = np.sqrt(weights)
         error = y - terms @ np.linalg.lstsq(terms * root[:, None], y * root, rcond=None)[0]
