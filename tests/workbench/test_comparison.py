@@ -175,6 +175,11 @@ def test_imposed_current_and_speed_leave_the_heat_to_be_tested() -> None:
     assert set(found.channels) == {"temperature"} and not found.follows
     assert "imposed" in found.equations["electrical"].why and "imposed" in found.equations["mechanical"].why
     assert found.equations["thermal"].testable and found.equations["thermal"].share == pytest.approx(1.0)
+    # What drives the heat is drawn, and what no drive imposes is not said to be imposed.
+    for drawn, imposed in ((found, True), (compare(SERVO, [bench(*MISSING["thermal"])]), False)):
+        text = "".join(to_html(drawn, ["bench.csv"], "servo.toml", "motorlens compare ..."))
+        (pictures,) = re.findall(r'id="pictures">(.*?)</script>', text)
+        assert all((f"imposed {what}" in pictures) == imposed for what in ("current", "speed"))
 
 
 def test_several_recordings_are_pooled() -> None:

@@ -75,7 +75,9 @@ def _next_step(document: dict[str, Any]) -> list[str]:
         names = ", ".join(name.replace("_", " ") for name in test["separates"])
         told.append(f"To tell {names} apart: {test['why']}.")
     if command := next_command(document):
-        told.append(f"{'To go on with the likeliest' if told else 'Next'}: {command}, and diagnose again.")
+        # The command comes last, to be copied as it stands.
+        begin = "To go on with the likeliest" if told else "Next"
+        told.append(f"{begin}, and then to diagnose again: {command}")
     return told
 
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.run import STATE_OF, UNIT_OF, Run
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.report.pictures import Axes, Line, Plot, Series, time_plots
@@ -48,11 +49,21 @@ def overlay(
         axes.append(Axes(channel, unit, lines))
         axes.append(Axes(f"{channel} error", unit, errors, 2 * noise.get(channel, 0.0), 130))
     inputs = run.inputs
-    data["voltage"] = inputs.voltage_V
-    axes.append(Axes("voltage", "V", [Line("voltage", "measured", "voltage")], height=110))
+    acting = {"voltage": ("V", inputs.voltage_V)}
+    # What was imposed is no output, and what drives all the rest.
+    if inputs.terminal is not None and inputs.current_A is not None:
+        imposed = np.where(inputs.terminal == Terminal.CURRENT, inputs.current_A, np.nan)
+        acting["imposed current"] = ("A", imposed)
+    if inputs.shaft is not None and inputs.speed_rad_s is not None:
+        acting["imposed speed"] = (
+            "rad/s",
+            np.where(inputs.shaft == Shaft.TURNED, inputs.speed_rad_s, np.nan),
+        )
     if "load_torque" in run.known:
-        data["load torque"] = inputs.load_torque_Nm
-        axes.append(Axes("load torque", "N*m", [Line("load torque", "measured", "load torque")], height=110))
+        acting["load torque"] = ("N*m", inputs.load_torque_Nm)
+    for name, (unit, values) in acting.items():
+        data[name] = values
+        axes.append(Axes(name, unit, [Line(name, "measured", name)], height=110))
     states = {}
     for channel, state in STATE_OF.items():
         states[channel] = f"{channel}, measured"
