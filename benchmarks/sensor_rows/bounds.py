@@ -1,10 +1,11 @@
 """How near a sensor file comes to what is possible: its rms errors over the posterior Cramer-Rao bound of each drive.
 
 The motor is the file's, the noise white; start, load and size of the noise are drawn. The bound is taken along what truly
-happened: a trajectory of the measured voltage has its noise for an excitation, and shows temperatures that nothing shows. It
-knows the noise and is told by how much the load on the shaft changes at every sample, which no estimator knows; it starts
-from the same ignorance as the sensor. The columns `untold` leave out the samples to which it is told something: those within
-a second of a jump, and at rest, where a brake takes what it is asked for.
+happened, with the torque that acted on the shaft: with a brake's setting for a torque, a rotor that creeps under its brake
+would be known to rest, and one that is turned backwards would be elsewhere. It knows the noise and is told by how much that
+torque changes at every sample, which no estimator knows; it starts from the same ignorance as the sensor. The columns
+`untold` leave out the samples to which it is told something: those within a second of a jump, and at rest, where a brake
+takes what it is asked for.
 """
 
 from collections.abc import Iterator
