@@ -5,6 +5,7 @@ import os
 import pty
 import select
 import struct
+import tempfile
 import termios
 import threading
 import time
@@ -24,7 +25,11 @@ class WireDevice:
         tty.setraw(slave)
         # From here on, what happens at the other end is told (tty_ioctl(4), packet mode).
         fcntl.ioctl(self.master, termios.TIOCPKT, struct.pack("i", 1))
-        self.path = os.ttyname(slave)
+        # By a name of its own: the number of a line that was unplugged is soon given to another test's, which whoever waits
+        # for this one would then open.
+        self.folder = tempfile.TemporaryDirectory()
+        self.path = os.path.join(self.folder.name, "tty")
+        os.symlink(os.ttyname(slave), self.path)
         os.close(slave)
         self.n, self.count, self.rate_Hz, self.paced = n, count, rate_Hz, paced
         ranges = {"voltage": ("V", 0.13), "current": ("A", 0.037)}
@@ -107,6 +112,7 @@ class WireDevice:
     def unplug(self):
         """Pull the plug."""
         self.stop.set()
+        self.folder.cleanup()
         if self.thread.is_alive() and self.thread is not threading.current_thread():
             # Its number must not be given to another line while the thread may still write to it.
             self.thread.join(10.0)
