@@ -22,15 +22,29 @@ SAMPLES, PERIOD_S = 6000, 0.1
 CHANNELS = ("voltage", "load_torque", "current", "speed")
 
 
-def fitted(motor: dict[str, float], white: float, coloured: float, remains: float) -> Estimate:
-    """A motor of which all sensors are noisy, as shares of rated values; of coloured noise a share `remains` each sample."""
+def fitted(
+    motor: dict[str, float],
+    white: float,
+    coloured: float,
+    remains: float,
+    lost: float = 0.0,
+    until: int = SAMPLES,
+) -> Estimate:
+    """A motor of which all sensors are noisy, as shares of rated values; of coloured noise a share `remains` each sample.
+
+    Its magnet has `lost` a share from the middle on; noise is coloured `until` a sample.
+    """
     rng = np.random.default_rng(23)
     volts = np.repeat(RATED["voltage"] * rng.uniform(-0.3, 0.3, SAMPLES // 150), 150)
     load = np.repeat(RATED["load_torque"] * rng.uniform(0.0, 0.2, SAMPLES // 150), 150) * np.sign(volts)
-    states = plain_motor.simulated(motor, volts, load, plain_motor.Test(PERIOD_S, SAMPLES, 150, True, 0.0))
+    test = plain_motor.Test(PERIOD_S, SAMPLES, 150, True, 0.0)
+    states = plain_motor.simulated(motor, volts, load, test)
+    weaker = plain_motor.simulated({**motor, "ke": (1 - lost) * motor["ke"]}, volts, load, test)
+    states[SAMPLES // 2 :] = weaker[SAMPLES // 2 :]
     shown = dict(zip(CHANNELS, (volts, load, states[:, 0], states[:, 1]), strict=True))
     for channel, y in shown.items():
         drift = lfilter([np.sqrt(1 - remains**2)], [1.0, -remains], rng.standard_normal(SAMPLES))
+        drift[until:] = 0.0
         shown[channel] = y + RATED[channel] * (white * rng.standard_normal(SAMPLES) + coloured * drift)
     file = MotorFile("plate", Motor(), PLATE)
     return estimate(file, prepare_all([Recording("drifting", PERIOD_S * np.arange(SAMPLES), shown)], file))
@@ -57,4 +71,14 @@ def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> N
 @pytest.mark.fit
 def test_white_noise_is_not_taken_for_coloured() -> None:
     noise = fitted(TYPICAL, white=0.01, coloured=0.0, remains=0.5).runs[0].noise
+    assert noise is not None and len(noise.disturbances) == TORQUE + 1
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(
+    "missing", [{"lost": 0.1}, {"coloured": 0.01, "until": SAMPLES // 8}], ids=["magnet", "spell"]
+)
+def test_what_the_model_lacks_is_not_taken_for_noise(missing: dict[str, float]) -> None:
+    """A magnet weaker by a tenth halfway through, which no motor that stays the same shows; or what comes for a while."""
+    noise = fitted(TYPICAL, **{"white": 0.002, "coloured": 0.0, "remains": 0.96, **missing}).runs[0].noise
     assert noise is not None and len(noise.disturbances) == TORQUE + 1
