@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Criteria:
     """The numbers.
 
-    The first three say when a hypothesis is beyond what recordings show in which nothing is missing, `follows` when the
+    The first three say when a hypothesis is beyond what recordings show in which nothing is missing, the last two when the
     model is. `python benchmarks/null.py --count 60 --seed 1`, and 2, prints how large the largest of them get: all but two
     of 120 worlds stay below, and those are near standstill at one sample a second. Flips of signs alone would put `excess`
     near 5: misfit that is no missing physics has the same sign in every block.
@@ -27,6 +27,8 @@ class Criteria:
         credible: probability that a group of rivals holds.
         follows: error over the noise of a channel, on what was not fitted to, from which on something is missing, even if no
             hypothesis says what: more than colour and slow noise leave in worlds with nothing missing.
+        white: likelihood that colour left in the noise wins, from which on something is missing likewise: three times what
+            it wins at most where nothing is.
     """
 
     excess: float = 16.0
@@ -39,6 +41,7 @@ class Criteria:
     tempered: float = 4.0
     credible: float = 0.95
     follows: float = 4.5
+    white: float = 100.0
 
 
 CRITERIA = Criteria()

@@ -10,7 +10,7 @@ from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.needed import needed_weight
+from motorlens_workbench.contest.needed import follows, needed_weight
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
@@ -67,8 +67,7 @@ def settle(found: Finding) -> Verdict:
     chosen = (*dead, *(one.hypothesis.name for one, _ in held if one.hypothesis.name not in dead))
     groups = [*((name,) for name in dead), *(group for group in groups if group[0] not in dead)]
     last = outcome.last
-    times = times_noise(last.book, last.lines)
-    kind, equation = _kind(found, held, groups, times)
+    kind, equation = _kind(found, held, groups)
     shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
     return Verdict(
         kind,
@@ -77,21 +76,21 @@ def settle(found: Finding) -> Verdict:
         equation,
         probability,
         shape,
-        tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())}, times)),
+        tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
     )
 
 
-def _kind(found: Finding, held: list, groups: list, times: float) -> tuple[str, str | None]:  # type: ignore[type-arg]
-    unnamed = found.outcome.unnamed
+def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  # type: ignore[type-arg]
+    unnamed, last = found.outcome.unnamed, found.outcome.last
     if found.dead:
         return "sensor_fault", found.dead[0].channel
     if unnamed is not None:
         return "unknown", unnamed.entry.hypothesis.equation
     if not held:
-        heaviest = found.outcome.last.rest
+        heaviest = last.rest
         if not any(run.moves for run in found.runs):
             return "not_testable", None
-        if times > CRITERIA.follows and heaviest is not None:
+        if heaviest is not None and not (follows(last) and last.book.colour <= CRITERIA.white):
             return "unknown", heaviest.entry.hypothesis.equation
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
         return ("not_testable" if blind else "adequate"), None
@@ -166,14 +165,13 @@ def _refused(found: Finding, name: str) -> str:
     )
 
 
-def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str], times: float) -> list[str]:
+def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -> list[str]:
     """What the recordings cannot tell, in words; of each name at most one thing.
 
     Args:
         found: by the contest.
         held: names that stand.
         offered: these and what they cannot be told from: the verdict speaks of them.
-        times: how many times the noise the last model leaves.
     """
     said = [one.sentence for one in found.dead]
     said += [run.saturation for run in found.runs if run.saturated]
@@ -214,10 +212,18 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str], t
             + ", ".join(blind)
             + "."
         )
+    last = found.outcome.last
+    times, why = (
+        times_noise(last.book, last.lines),
+        "noise that lasts, a torque that nobody measured, or something",
+    )
     if times > CRITERIA.follows:
         said.append(
-            f"The model is {times:.3g} times the noise off on what it was not fitted to: noise that lasts, a torque that "
-            "nobody measured, or something that no hypothesis explains."
+            f"The model is {times:.3g} times the noise off on what it was not fitted to: {why} that no hypothesis explains."
+        )
+    elif last.book.colour > CRITERIA.white:
+        said.append(
+            f"What the model leaves is correlated as no noise of the sensors is: {why} that is not named here."
         )
     said += [_only_together(found, one) for one in held if not _told_alone(found, one)]
     said += [_refused(found, name) for name in refused]

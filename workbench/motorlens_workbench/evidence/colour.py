@@ -7,6 +7,7 @@ noise as white; what that leaves of colour in the innovations, an autoregression
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.run import Run
 from motorlens_workbench.evidence.whitening import Whitener, fit_whitener
 
@@ -27,13 +28,15 @@ def coloured(run: Run, white: Array, used: int) -> Whitener:
     return fit_whitener(white, run.valid, np.full(white.shape[1], SMALLEST), used)
 
 
-def gain_of(run: Run, white: Array, whitener: Whitener) -> float:
+def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise) -> float:
     """Twice the logarithmic likelihood that the filter for the colour of innovations (N, C) wins over none, at least 0.
 
-    It is a measure of what the model of the noise, or the model, does not explain.
+    It is a measure of what the model of the noise, or the model, does not explain. Nothing is won below the smallest noise
+    that is believed.
     """
     left = whitener(white) * whitener.sigma
     told = run.valid.copy()
     told[: whitener.order] = False
-    before, after = (np.maximum(np.mean(y[told] ** 2, axis=0), SMALLEST**2) for y in (white, left))
+    least = np.where(noise.channels <= noise.floor, 1.0, SMALLEST**2)
+    before, after = (np.maximum(np.mean(y[told] ** 2, axis=0), least) for y in (white, left))
     return max(float(np.sum(told) * np.sum(np.log(before / after))), 0.0)

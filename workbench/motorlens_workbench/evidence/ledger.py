@@ -248,7 +248,7 @@ class Lens:
             rest = line.error if self.rests is None else self.rests[line.r]
             left = innovations(space, rest[:, :, None]).white[:, :, 0]
             whitener = coloured(line.run, left, len(line.keys))
-            colour = gain_of(line.run, left, whitener)
+            colour = gain_of(line.run, left, whitener, self.noises[line.r])
         return lambda columns: whitener(innovations(space, columns).white), colour
 
 
