@@ -223,3 +223,14 @@ def test_wrong_use_is_one_clear_line(arguments, message, rough, tmp_path, capsys
     assert main([str(names.get(word, word)) for word in arguments]) == 1
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in said
+
+
+@pytest.mark.fit
+def test_a_model_that_leaves_what_is_correlated_is_not_adequate(tmp_path):
+    """A magnet that loses a fortieth halfway: the parameters bend to it until nothing stands out, but what is left is no noise."""
+    made = generate(draw("dev", 800, True)[633], tmp_path)
+    assert [hidden["name"] for hidden in made.truth["hidden"]] == ["demagnetisation_step"]
+    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    verdict = settle(found)
+    assert (verdict.kind, verdict.equation) == ("unknown", "coupling")
+    assert any("correlated as no noise" in sentence for sentence in verdict.untold)
