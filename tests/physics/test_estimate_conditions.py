@@ -56,7 +56,7 @@ def test_an_imposed_current_is_an_input_and_tells_the_shaft() -> None:
     }  # fmt: skip
     file = MotorFile("plate", Motor(), PLATE)
     runs = prepare_all([under(Recording("drive", time, channels), terminal="current")], file)
-    assert runs[0].channels == ("speed",)
+    assert runs[0].channels == ("speed",) and runs[0].imposed == ("current",)
     found = estimate(file, runs, held=True)
     sd, values = found.fit.sd(), found.fit.model.values()
     for key, true in (("ke", truth.ke), ("J", truth.J), ("b", truth.b)):
@@ -70,7 +70,7 @@ def test_a_channel_is_no_output_while_it_is_imposed() -> None:
     channels = {"voltage": one, "current": one, "speed": 100 * one, "shaft": tied}
     file = MotorFile("plate", Motor(), PLATE)
     run = prepare(Recording("turned", time, channels), file)
-    assert run.channels == ("current", "speed")
+    assert run.channels == ("current", "speed") and not run.imposed
     assert run.there[:, 0].all() and np.array_equal(run.there[:, 1], tied == Shaft.FREE)
     assert run.inputs.shaft is not None and run.inputs.speed_rad_s is not None
     alone = Recording(

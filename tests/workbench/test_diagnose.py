@@ -227,7 +227,7 @@ def test_wrong_use_is_one_clear_line(arguments, message, rough, tmp_path, capsys
 
 @pytest.mark.fit
 def test_a_model_that_leaves_what_is_correlated_is_not_adequate(tmp_path):
-    """A magnet that loses a fortieth halfway: the parameters bend to it until nothing stands out, but what is left is no noise."""
+    """A magnet that loses a fortieth halfway: parameters bend until nothing stands out, but what is left is no noise."""
     made = generate(draw("dev", 800, True)[633], tmp_path)
     assert [hidden["name"] for hidden in made.truth["hidden"]] == ["demagnetisation_step"]
     found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])

@@ -18,12 +18,16 @@ DOCUMENT = {
         "current",
         "--driven",
     ],
-    "chosen": ["dead_current_sensor", "coulomb_friction"],
-    "candidates": [{"name": "dead_current_sensor", "gain": 0.0}, {"name": "coulomb_friction", "gain": 40.0}],
+    "groups": [["dead_current_sensor"], ["stribeck_friction", "coulomb_friction"]],
+    "candidates": [
+        {"name": "dead_current_sensor", "gain": 0.0, "probability": 1.0},
+        {"name": "stribeck_friction", "gain": 41.0, "probability": 0.1},
+        {"name": "coulomb_friction", "gain": 40.0, "probability": 0.9},
+    ],
 }
 
 
-def test_it_is_understood_by_add_and_names_what_can_be_added():
+def test_it_is_understood_by_add_and_names_the_likeliest_that_can_be_added():
     words = shlex.split(next_command(DOCUMENT))
     parser = argparse.ArgumentParser()
     add.add_arguments(parser)
@@ -43,4 +47,4 @@ def test_what_was_made_better_is_made_better_again_beside_it():
 
 
 def test_there_is_none_where_only_a_dead_channel_was_named():
-    assert next_command({**DOCUMENT, "chosen": ["dead_current_sensor"]}) == ""
+    assert next_command({**DOCUMENT, "groups": [["dead_current_sensor"]]}) == ""

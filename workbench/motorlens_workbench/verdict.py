@@ -176,7 +176,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
     said = [one.sentence for one in found.dead]
     said += [run.saturation for run in found.runs if run.saturated]
     said += [delay.sentence for delay in delays_of(_as_fit(found), found.runs)]
-    channels = {channel for run in found.runs for channel in run.channels}
+    channels = {channel for run in found.runs for channel in (*run.channels, *run.imposed)}
     known = {quantity for run in found.runs for quantity in run.known}
     if "temperature" not in channels:
         said.append(

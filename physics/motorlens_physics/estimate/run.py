@@ -136,6 +136,17 @@ class Run:
         return np.asarray(y[: rows * self.every].reshape(rows, self.every, *y.shape[1:]).mean(axis=1))
 
     @property
+    def imposed(self) -> tuple[str, ...]:
+        """What was measured and is no output, for something imposes it on the motor throughout."""
+        ties = {
+            "current": (self.inputs.terminal, Terminal.CURRENT),
+            "speed": (self.inputs.shaft, Shaft.TURNED),
+        }
+        return tuple(
+            channel for channel, (ends, to) in ties.items() if ends is not None and np.all(ends == to)
+        )
+
+    @property
     def moves(self) -> bool:
         """Whether anything that was measured changes: what stands still, whatever it shows, tells nothing."""
         told = [y[there] for y, there in zip(self.measured.T, self.there.T, strict=True)]
