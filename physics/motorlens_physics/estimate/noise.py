@@ -36,9 +36,9 @@ VOLTAGE, LOAD, TORQUE = range(3)
 COLOURED, UNEXPLAINED = slice(3, None), slice(2, None)
 # The measured inputs, by their positions; a channel of a run comes after them.
 INPUTS = ("voltage", "load_torque")
-# How long the unmeasured torque lasts, in samples: the likelihood chooses. Where the motor follows within a sample, and no
-# load was measured, it may be another one at every sample.
-LASTS, WITHIN_A_SAMPLE = (3.0, 30.0, 300.0, 3000.0), 1.0
+# How long the unmeasured torque lasts, in samples: the likelihood chooses. A short one only where the motor follows in
+# as long: elsewhere it would pass for whatever is missing. Within a sample only where no load was measured.
+LASTS, SHORT, WITHIN_A_SAMPLE = (30.0, 300.0, 3000.0), 3.0, 1.0
 # Over how many samples coloured noise is correlated: the likelihood chooses. What lasts longer is no noise, but an offset.
 CORRELATED = (3.0, 30.0)
 # Squared autocorrelations that it may leave, over those of as much white noise. Noise of another duration than those tried
@@ -204,7 +204,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
         np.maximum(size, floor),
         np.array([*looks, 1e-4 * torque]),
         most,
-        np.array([0.0, 0.0, LASTS[2] * run.period_s]),
+        np.array([0.0, 0.0, LASTS[1] * run.period_s]),
         floor,
     )
 
@@ -318,9 +318,11 @@ def lasting(
     """
     durations: tuple[float, ...] = LASTS
     updates = ROUGHLY
+    if response_s < SHORT * run.period_s:
+        durations = (SHORT, *durations)
     # Beside a load that was measured it would be that sensor's noise, which is in the inputs.
     if response_s < run.period_s and "load_torque" not in run.known:
-        durations, updates = (WITHIN_A_SAMPLE, *LASTS), CONVERGED
+        durations, updates = (WITHIN_A_SAMPLE, *durations), CONVERGED
     tried = [
         likelier(noise.lasting(samples * run.period_s), run, linear, error, used, updates)
         for samples in durations
