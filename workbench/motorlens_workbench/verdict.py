@@ -213,10 +213,8 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
             + "."
         )
     last = found.outcome.last
-    times, why = (
-        times_noise(last.book, last.lines),
-        "noise that lasts, a torque that nobody measured, or something",
-    )
+    times = times_noise(last.book, last.lines)
+    why = "noise that lasts, a torque that nobody measured, or something"
     if times > CRITERIA.follows:
         said.append(
             f"The model is {times:.3g} times the noise off on what it was not fitted to: {why} that no hypothesis explains."

@@ -106,5 +106,6 @@ def stirred_by_inputs(model: Model, run: Run, r: int, noise: Noise) -> Array:
     """(C,) variance that noise of the measured inputs stirs up in what the model shows."""
     inputs = inputs_of(model, run, r)
     _, linear = linearise(motor_of(model, run), inputs, start_of(model, r), smooth=True, tolerance=TOLERANCE)
-    of_inputs = replace(run, lasting={name: error for name, error in run.lasting.items() if name in INPUTS})
+    errors = {name: error for name, error in run.converter_errors.items() if name in INPUTS}
+    of_inputs = replace(run, converter_errors=errors)
     return spread(noise.of_inputs(len(run.channels)).space(of_inputs, linear, run.there))

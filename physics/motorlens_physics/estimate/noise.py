@@ -132,33 +132,35 @@ class Noise:
         """(N,) noise of a measured input, white and coloured and its converter's, of what was seen (N, T) of `space`."""
         own, converters = np.split(seen, [len(self.disturbances)], axis=1)
         every = [own[:, which], *own[:, COLOURED].T[which : which + 1]]
-        every += [y for y, sensor in zip(converters.T, run.lasting, strict=True) if sensor == INPUTS[which]]
+        every += [
+            y for y, sensor in zip(converters.T, run.converter_errors, strict=True) if sensor == INPUTS[which]
+        ]
         return np.asarray(sum(every))
 
     def of_inputs(self, channels: int) -> "Noise":
         """With the measured inputs' noise alone, of a run with so many channels."""
-        count, lasts = len(BALANCES) + len(INPUTS), self.lasts_s[: len(BALANCES) + len(INPUTS)]
-        variance = np.append(self.disturbances[:TORQUE], [0.0, *self.disturbances[COLOURED][: len(INPUTS)]])
-        if len(variance) == count:
-            variance, lasts = (np.pad(y, (0, channels), mode="constant") for y in (variance, lasts))
+        white, coloured = self.disturbances[:TORQUE], self.disturbances[COLOURED][: len(INPUTS)]
+        silent = np.zeros(channels if coloured.size else 0)
+        variance = np.concatenate([white, [0.0], coloured, silent])
+        lasts = np.concatenate([self.lasts_s[: len(BALANCES) + len(coloured)], silent])
         return replace(self, channels=np.zeros(channels), disturbances=variance, lasts_s=lasts)
 
     def lasting_of_channels(self, run: Run) -> Array:
         """(C,) variance of what lasts of the sensors' own errors: coloured noise, and that of converters."""
-        errors = [run.lasting.get(channel) for channel in run.channels]
+        errors = [run.converter_errors.get(channel) for channel in run.channels]
         converters = np.array([0.0 if error is None else error.variance for error in errors])
         coloured = self.disturbances[COLOURED][len(INPUTS) :]
         return converters + (coloured if coloured.size else 0.0)
 
     def all_of(self, run: Run) -> Array:
         """(T,) variance of all disturbances of `space`: those that were found, and what lasts of converters' errors."""
-        return np.append(self.disturbances, [lasts.variance for lasts in run.lasting.values()])
+        return np.append(self.disturbances, [lasts.variance for lasts in run.converter_errors.values()])
 
     def space(self, run: Run, linear: Linearisation, used: NDArray[np.bool_]) -> StateSpace:
         """The state-space model of a run's errors; samples (N, C) not `used` are passed over."""
         sensors = (*INPUTS, *run.channels)
         coloured_too = sensors if len(self.disturbances) > len(BALANCES) else ()
-        lasting = (*coloured_too, *run.lasting)
+        lasting = (*coloured_too, *run.converter_errors)
         # The last disturbance of a name is its converter's.
         first = len(BALANCES) + np.arange(len(lasting))
         drifts = np.full((len(run.channels), 2), -1)
@@ -176,7 +178,7 @@ class Noise:
             np.column_stack(
                 [
                     share_that_remains(run.inputs.time_s, self.lasts_s),
-                    *(error.keeps() for error in run.lasting.values()),
+                    *(error.keeps() for error in run.converter_errors.values()),
                 ]
             ),
             self.all_of(run),

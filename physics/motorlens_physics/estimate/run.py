@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 # Measured outputs in the order of their states.
 STATE_OF = {"current": "i", "speed": "w", "temperature": "theta"}
+# What imposes an output on the motor: the terminals or the shaft, tied to this.
+IMPOSED_BY = {"current": ("terminal", Terminal.CURRENT), "speed": ("shaft", Shaft.TURNED)}
 UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "V", "load_torque": "N*m"}
 ROWS = 30_000
 # Levels up to the largest value below which these are no converter's, but steps of a command.
@@ -76,7 +78,7 @@ class Run:
         shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
         there: (N, C) which samples of each output were measured, and not imposed on the motor.
         quantum: (C,) standard deviation of the white noise that the converter of an output adds to a sample.
-        lasting: sensor -> what lasts of its converter's error, where that matters, see `converter.converter_error`.
+        converter_errors: sensor -> what lasts of its converter's error, where that matters, see `converter.converter_error`.
         input_step: the least significant bit of voltage and load torque, 0 if continuous.
         corrections: (N, 2) what the sensors of voltage (V) and load torque (N m) showed too little, as a fit expects it
             given all that was measured; None is nothing.
@@ -106,7 +108,7 @@ class Run:
     corrections: Array | None = None
     offset_below: Mapping[str, float] = field(default_factory=dict)
     converters: tuple[Converter, ...] = ()
-    lasting: Mapping[str, LastingError] = field(default_factory=dict)
+    converter_errors: Mapping[str, LastingError] = field(default_factory=dict)
     turns: bool = True
     shaft: Mapping[str, Array] | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -138,13 +140,8 @@ class Run:
     @property
     def imposed(self) -> tuple[str, ...]:
         """What was measured and is no output, for something imposes it on the motor throughout."""
-        ties = {
-            "current": (self.inputs.terminal, Terminal.CURRENT),
-            "speed": (self.inputs.shaft, Shaft.TURNED),
-        }
-        return tuple(
-            channel for channel, (ends, to) in ties.items() if ends is not None and np.all(ends == to)
-        )
+        ends = {channel: (getattr(self.inputs, end), to) for channel, (end, to) in IMPOSED_BY.items()}
+        return tuple(name for name, (tied, to) in ends.items() if tied is not None and np.all(tied == to))
 
     @property
     def moves(self) -> bool:
@@ -188,21 +185,27 @@ class Run:
             return self
         late = dict(self.late) | {channel: self.late.get(channel, 0) + samples}
         unmoved = self.unmoved or self
-        lasting = dict(self.lasting)
-        if channel in lasting:
-            lasting[channel] = replace(lasting[channel], stays=_earlier(lasting[channel].stays, samples))
+        errors = dict(self.converter_errors)
+        if channel in errors:
+            errors[channel] = replace(errors[channel], stays=_earlier(errors[channel].stays, samples))
         if channel == "voltage":
             # What was applied is what was recorded later; beyond the end, the last.
             moved = _earlier(self.inputs.voltage_V, samples)
             inputs = replace(self.inputs, voltage_V=moved)
-            return replace(self, inputs=inputs, late=late, unmoved=unmoved, lasting=lasting)
+            return replace(self, inputs=inputs, late=late, unmoved=unmoved, converter_errors=errors)
         c = self.channels.index(channel)
         measured, there = self.measured.copy(), self.there.copy()
         measured[:, c] = _earlier(measured[:, c], samples)
         there[:, c] = _earlier(there[:, c], samples) & _inside(len(there), samples)
         valid = np.all(there, axis=1)
         return replace(
-            self, measured=measured, there=there, valid=valid, late=late, unmoved=unmoved, lasting=lasting
+            self,
+            measured=measured,
+            there=there,
+            valid=valid,
+            late=late,
+            unmoved=unmoved,
+            converter_errors=errors,
         )
 
     @property
@@ -224,11 +227,11 @@ class Run:
         inputs, measured = self.inputs.part(rows), self.measured[rows]
         shaft = None if self.shaft is None else {name: y[rows] for name, y in self.shaft.items()}
         start = first_states(file, self.channels, measured, inputs.ambient_C, inputs.voltage_V)
-        lasting = {name: replace(one, stays=one.stays[rows]) for name, one in self.lasting.items()}
+        errors = {name: replace(one, stays=one.stays[rows]) for name, one in self.converter_errors.items()}
         return replace(
             self, inputs=inputs, measured=measured, valid=self.valid[rows], there=self.there[rows], every=1, start=start,
             floor=self.floor * np.sqrt(self.every), angle=None if self.angle is None else self.angle[rows], shaft=shaft,
-            corrections=None if self.corrections is None else self.corrections[rows], unmoved=None, lasting=lasting,
+            corrections=None if self.corrections is None else self.corrections[rows], unmoved=None, converter_errors=errors,
         )  # fmt: skip
 
     def liveliest(self, rows: int) -> slice:
@@ -256,10 +259,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         DataError: nothing measured but inputs, or too short.
     """
     # What something imposes on the motor is an input while it does.
-    imposed = {
-        "current": _tied(recording, "terminal", Terminal.CURRENT),
-        "speed": _tied(recording, "shaft", Shaft.TURNED),
-    }
+    imposed = {channel: _tied(recording, end, to) for channel, (end, to) in IMPOSED_BY.items()}
     used = tuple(
         c for c in STATE_OF if c in channels and recording.has(c) and not (c in imposed and imposed[c].all())
     )
@@ -283,7 +283,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     hung: dict[str, tuple[float, float]] = {}
     ends: dict[str, int] = {}
     converters: list[Converter] = []
-    lasting: dict[str, LastingError] = {}
+    errors: dict[str, LastingError] = {}
     for k, channel in enumerate(used):
         y = recording.channels[channel]
         there, hangs, beyond = np.isfinite(y), hanging(y), saturated(y)
@@ -300,7 +300,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         converters.append(converter)
         quantum[k] = np.sqrt(white)
         if lasts is not None:
-            lasting[channel] = lasts
+            errors[channel] = lasts
         floor[k] = max(quantum[k], 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
     inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
@@ -324,14 +324,14 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     for (name, y), step in zip(shown.items(), coarse_inputs, strict=True):
         lasts = converter_error(y, step)[1]
         if lasts is not None:
-            lasting[name] = lasts
+            errors[name] = lasts
     exact = {
         q: limit for q in ("voltage", *used) if (limit := largest_offset(recording.channels[q])) is not None
     }
     return Run(
         recording.name, inputs, used, measured, np.all(present, axis=1), present, quantum, every, start, known, floor, angle,
         input_step=coarse_inputs,
-        offset_below=exact, converters=tuple(converters), lasting=lasting,
+        offset_below=exact, converters=tuple(converters), converter_errors=errors,
         shaft=shaft, hung=hung, saturated=ends,
     )  # fmt: skip
 

@@ -123,7 +123,7 @@ def left_out(run: Run, channel: str) -> Run:
         converters=tuple(run.converters[c] for c in keep),
         there=run.there[:, keep],
         quantum=run.quantum[keep],
-        lasting={name: one for name, one in run.lasting.items() if name != channel},
+        converter_errors={name: one for name, one in run.converter_errors.items() if name != channel},
         valid=np.all(run.there[:, keep], axis=1),
         noise=None,
     )
