@@ -231,6 +231,9 @@ def test_heat_in_an_observer_is_remembered(trained, tmp_path):
     restored = snapshot.restore(snapshot.load(tmp_path / "heat"), sensor, "d", 10**18 + 3600 * 10**9)
     observer, zero, one = sensor.extractor.observer, np.zeros(1), np.ones(1, dtype=bool)
     assert restored.state.observer == observer.rest(estimator.state.observer, 3600.0, None)
+    assert observer.noise and all(
+        restored.state.observer[k] == estimator.state.observer[k] != 0.0 for k in observer.noise
+    )  # nobody measured the zeros of a rest
     rise = trained.outputs.index("temperature")
     rises = [
         observer.advance(state, zero, zero, None, zero, one, None)[1][0, rise]

@@ -45,6 +45,7 @@ class Observer:
         ambient_C: the ambient temperature where none is measured.
         distrust: the output that is above 0 where the others are not to be believed; -1 is none.
         full_s: a window is full after so many seconds.
+        noise: entries of the state that say what noise the signals have.
 
     Raises:
         KeyError, ValueError, TypeError: the document is not that of an observer this runtime can run.
@@ -57,6 +58,7 @@ class Observer:
         self.distrust = int(document.get("distrust", -1))
         self.full_s = float(document["period_s"]) * _FULL
         self._size, self._window, self._time = (int(document[key]) for key in ("size", "window", "time"))
+        self.noise = frozenset(int(entry) for entry in document.get("noise", ()))
         if not (0 <= self._time < self._window <= self._size and self.full_s > 0):
             raise ValueError("layout of the observer's state")
         self._accumulate = _compiled(document["accumulate"], 4 + self._window, self._window)
@@ -69,13 +71,18 @@ class Observer:
 
     def rest(self, state: State, off_s: float, ambient_C: float | None) -> State:
         """The state after `off_s` seconds without voltage and current, which are known, so that the winding cools; a gap in
-        the samples is something else. In steps that the linearised model can take, and four hours of it at most."""
+        the samples is something else. In steps that the linearised model can take, and four hours of it at most. Zeros that
+        nobody measured tell nothing of the noise."""
         piece = _REST_WINDOWS * self.full_s
         count = math.ceil(min(off_s, _FORGOTTEN_S) / piece)
         zeros, used = np.zeros(count), np.ones(count, dtype=bool)
         ambient = None if ambient_C is None else np.full(count, ambient_C)
         dt_s = np.full(count, min(off_s, _FORGOTTEN_S) / max(count, 1))
-        return self.advance(state, zeros, zeros, ambient, dt_s, used, np.zeros(0, dtype=np.intp))[0]
+        rested, _ = self.advance(state, zeros, zeros, ambient, dt_s, used, np.zeros(0, dtype=np.intp))
+        return tuple(
+            before if entry in self.noise else after
+            for entry, (before, after) in enumerate(zip(state, rested, strict=True))
+        )
 
     def advance(
         self, state: State, voltage_V: Array, current_A: Array, ambient_C: Array | None, dt_s: Array,

@@ -34,6 +34,8 @@ MEMORY = (
     "odds", "restless", "log_level", "colour", "error", "count", "slope", "drive", "driven", "fine_voltage", "fine_current",
     "last_voltage", "drift", "unseen", "calm",
 )  # fmt: skip
+# Of these, what noise the signals have.
+NOISE = ("log_level", "colour", "error", "count")
 BRANCHES = ("steady", "changing")
 
 
@@ -67,6 +69,7 @@ class Observer:
             "period_s": self.period_s,
             "ambient_C": self.ambient_C,
             **sizes,
+            "noise": [WIDTH + MEMORY.index(name) for name in NOISE],
             "outputs": list(self.outputs),
             **({"distrust": self.outputs.index("distrust")} if "distrust" in self.outputs else {}),
         } | programs
