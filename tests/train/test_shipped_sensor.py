@@ -165,3 +165,24 @@ def test_what_the_observer_cannot_foretell_makes_it_as_unsure_as_at_the_start(sh
     kelvin = found.sigma[-1, 2] / (3.5 * 0.004)
     assert (kelvin < 0.4) if share == 1.0 else (0.3 < kelvin < 3.0)
     assert found.values[-1, 1] < 3.0 * found.sigma[-1, 1] and (share > 1.0 or found.sigma[-1, 1] < 0.4)
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("size_Nm", [6.0, -6.0])
+def test_a_load_that_jumps_leaves_the_resistance_known(size_Nm: float) -> None:
+    """By a plant of its own: a load far from what was foretold is a load, at whatever sample of a window it comes."""
+    dt, n, jump = 2e-3, 7_500, 6_000
+    t = np.arange(n) * dt
+    voltage = np.select([t < 1, t < 8], [0.0, 120.0], 200.0)
+    for phase in range(5):
+        load = 2.0 + max(-size_Nm, 0.0) + size_Nm * (np.arange(n) >= jump + phase)
+        current, speed = drive(voltage, load, dt, resistance=1.15)
+        rng = np.random.default_rng(phase)
+        samples = Samples(
+            np.round(t * 1e9).astype(np.int64), voltage + 0.2 * rng.standard_normal(n),
+            current + 0.02 * rng.standard_normal(n), np.full(n, 20.0),
+        )  # fmt: skip
+        found = open_estimator(load_sensor(OBSERVER), dt).push(samples, np.array([jump - 10, n - 1]))
+        assert found.sigma[1, 2] < 1.2 * found.sigma[0, 2] < 0.02
+        assert abs(found.values[1, 0] - speed[-1]) < 3 * found.sigma[1, 0]
+        assert found.values[1, 2] == pytest.approx(3.5 * 1.15, rel=0.01)

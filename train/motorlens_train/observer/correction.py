@@ -57,10 +57,10 @@ def correct(layout: Layout) -> Program:
     before = share * (1.0 - leave) + (1.0 - share) * enter
     jump = (settings.load_jump * layout.rated.torque_Nm) ** 2 / pace
     still, changing = (
-        _advanced(layout, r, *mixed(weight, branches), window, ambient, gap, jumps, rests, found)
-        for jumps, rests, weight in (
-            (near * (HOLDS**2 * jump), 0.0, share * leave / (1.0 - before)),
-            (jump, near, share * (1.0 - leave) / before),
+        _advanced(layout, r, *mixed(weight, branches), window, ambient, gap, jumps, starting, rests, found)
+        for jumps, starting, rests, weight in (
+            (near * (HOLDS**2 * jump), 0.0, 0.0, share * leave / (1.0 - before)),
+            (jump, (share <= 0.5) * (1.0 - near), near, share * (1.0 - leave) / before),
         )
     )
     odds = (before / (1.0 - before)).log() + (changing.log - still.log) * believed
@@ -71,9 +71,7 @@ def correct(layout: Layout) -> Program:
         return a if a is b else a + share * (b - a)
 
     # What neither branch foretells, by far, has another cause than they know: the states are as unknown as at the start.
-    lost = (
-        still.log.max(changing.log) <= both(still.fresh, changing.fresh) + math.log(layout.period * UNKNOWN)
-    ) * believed
+    lost = (still.log.max(changing.log) <= changing.fresh + math.log(layout.period * UNKNOWN)) * believed
 
     one, two = still.window, changing.window
     K, H = ([both(a, b) for a, b in zip(*rows, strict=True)] for rows in ((one.K, two.K), (one.H, two.H)))
@@ -146,10 +144,10 @@ class _Step:
 
 def _advanced(
     layout: Layout, r: Recorder, x: list[Any], P: list[list[Any]], window: Mapping[str, Value], ambient: Any, gap: Any,
-    jumps: Any, rests: Any, found: Signals,
+    jumps: Any, starting: Any, rests: Any, found: Signals,
 ) -> _Step:  # fmt: skip
-    """One branch over a window: one in which the load walks by a variance of `jumps` a second more or, where `rests` is 1,
-    one in which the rotor rests."""
+    """One branch over a window: one in which the load walks by a variance of `jumps` a second more, and has been steady
+    until now where `starting` is 1; or, where `rests` is 1, one in which the rotor rests."""
     n, T, believed = len(layout.states), window["time"], 1.0 - gap
     V = gap.select(window["voltage"], window["sum_voltage"] / T) - (window["hold"] + 0.5) * found.lean
     plain = gap.select(window["current"], window["sum_current"] / T)
@@ -231,11 +229,22 @@ def _advanced(
     )  # fmt: skip
     PH = [dot(P[j], H) for j in range(n)]
     S = dot(H, PH) + noise
+    # Had it been known no better than at the start.
+    S_fresh = dot(H, [dot(row, H) for row in layout.covariance]) + noise
+    fresh = _log(error, S_fresh)
+    f = [row[load] for row in F]
+    g = dot(H, f)
+    more = _more(layout, g, error, S, fresh) * starting * believed
+    S = S + more * g * g
+    PH = [entry + more * g * each for entry, each in zip(PH, f, strict=True)]
+    for a, b in layout.pairs:
+        P[a][b] = P[a][b] + more * f[a] * f[b]
     # Of an unknown load and an unknown resistance a steady voltage shows only what both do to the speed. A current that the
     # voltage drives tells them apart, or a rotor at rest; without either, slow states are considered and not corrected
     # (Schmidt-Kalman; Jazwinski 1970, ch. 8.4), or each load that jumps, noticed late, would cool the winding.
     # The mean over a gap says nothing about its end.
-    best = [PH[j] / S * believed for j in range(n)]
+    gain = believed / S
+    best = [PH[j] * gain for j in range(n)]
     fast, own = (w, load), found.free.max(rests)
     K = [best[j] if j in fast else best[j] * own for j in range(n)]
     K[w] = K[w] * moves
@@ -255,15 +264,30 @@ def _advanced(
     new[w] = gap.select(after, new[w]).max(-fastest).min(fastest)
     surprise = error * error / S
     expected = S - (found.colour - 1.0) * white
-    # Had it been known no better than at the start.
-    S_fresh = dot(H, [dot(row, H) for row in layout.covariance]) + noise
     return _Step(
         new,
         P,
         surprise,
-        (surprise + S.log()) * -0.5,
+        _log(error, S),
         error / expected.sqrt(),
         white / expected,
-        (error * error / S_fresh + S_fresh.log()) * -0.5,
+        fresh,
         Window(error, S, K, H, F, rates, 0.0, changes, 0.0),
     )
+
+
+def _more(layout: Layout, g: Any, error: Any, S: Any, fresh: Any) -> Any:
+    """The variance by which a load changes more than it walks, where one that is as unknown as at the start foretells an
+    innovation and neither one that walks nor `fresh` states do; `g` is what a N m does to the innovation.
+
+    Loads jump, by any amount, and far more often than what no model knows: then it is that, and nothing else is forgotten.
+    """
+    settings, motor, most = layout.settings, layout.motor, layout.rated.torque_Nm**2
+    rarer = UNKNOWN * settings.jump_every * motor.R_a0 * motor.J / motor.ke**2
+    unlikely = _log(error, S) <= fresh + math.log(layout.period * UNKNOWN)
+    return unlikely * (fresh + math.log(rarer) <= _log(error, S + g * g * most)) * most
+
+
+def _log(error: Any, S: Any) -> Any:
+    """Logarithm of the likelihood of an innovation of variance S, but for a constant."""
+    return (error * error / S + S.log()) * -0.5

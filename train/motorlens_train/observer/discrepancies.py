@@ -62,6 +62,7 @@ def told(
     """After a window: what is kept of all discrepancies, the new `hold`, and by how much the states move with it."""
     w, T, n = layout.at["w"], window["time"], len(layout.states)
     H, S, rated = filtered.H, filtered.S, layout.rated
+    weight = 1.0 / S
     change = window["current"] - window["current_start"]
     swing = (found.level * (2 * layout.i_sd**2)).sqrt() * CLEAR + LARGE * rated.current_A
     direct = {
@@ -105,17 +106,17 @@ def told(
             S_known = S - filtered.changes * (1.0 - LEFT)
             g = g * settled * (S_known * PLAIN**2 <= found.lean * found.lean)
             information = information + g * g / S_known
-            step = g * filtered.error / S_known / (information + HOLD_KNOWN)
+            step = g * filtered.error / (S_known * (information + HOLD_KNOWN))
             held = (hold + step).max(-0.5).min(0.5)
             moves = held - hold
             hold, shift = held, [v * moves for v in V]
         else:
-            information = information + g * g / S
+            information = information + g * g * weight
             # Had the voltage been taken to run as it is now known to, the innovations would have been others.
             score = score - common[name] * moves if name in PAIRS else score
-            information, score = information * stays, (score + g * filtered.error / S) * stays
+            information, score = information * stays, (score + g * (filtered.error * weight)) * stays
         kept += [*V, information, score]
     for name, shared in common.items():
         one, other = PAIRS[name]
-        kept.append((shared + slopes[one] * slopes[other] / S) * stays)
+        kept.append((shared + slopes[one] * slopes[other] * weight) * stays)
     return kept, hold, shift

@@ -21,15 +21,15 @@ def accumulate(layout: Layout) -> Program:
     first = 1.0 - alive
     # Where in the step the voltage changed nobody knows; what is below three deviations is noise.
     change = ((v - v_old) * (v - v_old) - 18 * layout.v_sd**2).max(0.0) * (1 / 4)
-    mean_square = (i * i + i_old * i_old + i * i_old) * (1 / 3)
     # The current bends within a step that is not short against L/R; for a voltage that runs linearly the mean over the
     # step is known exactly: (i + i_old)/2 + (tau/h - coth(h/(2 tau))/2)/R times how far the step is from steady state.
     m = layout.motor
-    mean = 0.5 * (i + i_old)
+    mean, rise = 0.5 * (i + i_old), i - i_old
+    mean_square = mean * mean + rise * rise * (1 / 12)
     R = m.resistance(layout.start[layout.at["theta"]])
     turns = h * (mean * (m.ke / m.J) + drag)
-    unsteady = (v - v_old) * (0.5 - hold) - R * (i - i_old) - m.ke * turns
-    bent = (h <= BENT * layout.period).select(bend(r, h, m.L / R) * unsteady * (1 / R) * alive, 0.0)
+    unsteady = (v - v_old) * (0.5 - hold) - R * rise - m.ke * turns
+    bent = (h <= BENT * layout.period).select(bend(r, h, m.L / R) * unsteady * (1 / R), 0.0)
     return r.program([
         alive + first, v, i, drag, i_start + first * i, time + h, sum_v + h * 0.5 * (v + v_old), sum_i + h * mean,
         sum_ii + h * mean_square, sum_b + h * bent, sum_hh + h * h, sum_c + h * h * change,
