@@ -83,13 +83,13 @@ def _drives(kind: str, start: str, drives: int) -> Iterator[tuple[World, Recorde
 
 def _bound(recorded: Recorded) -> np.ndarray:
     """Deviations (N, 2) of speed and temperature."""
-    load = recorded.shaft_Nm
-    states = {"i": recorded.true_A, "w": recorded.truth[:, 0], "theta": recorded.truth[:, 1], "load": load}
+    states = {
+        "i": recorded.true_A, "w": recorded.truth[:, 0], "theta": recorded.truth[:, 1], "load": recorded.shaft_Nm
+    }  # fmt: skip
     noise = Noise(recorded.noise_V, recorded.noise_A, LOAD_WALK)
-    changes = np.abs(np.diff(load, prepend=load[:1]))
     found = bound(
-        MELLAH.motor, recorded.time_s, states, recorded.true_V, recorded.ambient_C, noise, plate_prior(MELLAH), changes
-    )  # fmt: skip
+        MELLAH.motor, recorded.time_s, states, recorded.true_V, recorded.ambient_C, noise, plate_prior(MELLAH)
+    )
     return found.outputs[:, :2]
 
 

@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.duty import MELLAH, NOISE
 from scipy.linalg import expm, solve_discrete_are
 
 from motorlens_physics.motor import Motor
 from motorlens_physics.recording import Recording
+from motorlens_physics.scenario import chosen_scenario, measure, perform
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_train.bound import Bound, Noise, Prior, bound, bound_of_recording, riccati, transition
+from motorlens_train.evaluation.scores import counted, plate_prior
 
 pytestmark = pytest.mark.fit
 
@@ -178,3 +181,16 @@ def test_the_noise_of_a_measured_voltage_passes_for_an_excitation():
     seen = bound_of_recording(MOTOR, Recording("noisy", time, channels), noise, prior).sd("theta")
     assert true[-1] > 0.9 * true[500] > 20.0
     assert seen[-1] < 0.7 * seen[500]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_where_steps_excite_the_motor_a_measured_voltage_will_do(seed):
+    rng = np.random.default_rng(seed)
+    run = perform(MELLAH, chosen_scenario("duty", 200.0, 500.0), rng)
+    given = Noise(0.5, 0.05, 0.02), plate_prior(MELLAH)
+    true, seen = (
+        bound_of_recording(MELLAH.motor, one, *given).outputs[counted(run, MELLAH)]
+        for one in (run, measure(run, (), NOISE, rng))
+    )
+    np.testing.assert_allclose((seen**2).mean(0) ** 0.5, (true**2).mean(0) ** 0.5, rtol=0.02)
+    assert (seen != true).any()

@@ -67,9 +67,10 @@ def test_the_ratio_to_the_bound_is_the_error_over_the_bound(recording):
     for k, output in enumerate(("speed", "temperature", "resistance")):
         expected = 0.5 / np.sqrt(np.mean(limit[:, k] ** 2))
         assert found.scores["constant"][output].ratio == pytest.approx(expected)
-    # A tighter bound than the noise of one sample, and no bound of zero.
+    # A tighter bound than the noise of one sample, and no bound of zero but of a speed that is known to be none.
     assert 0.01 < np.median(limit[:, 0]) < 0.55
-    assert np.all(limit > 0)
+    rests = recording.channels["speed"][found.traces[0].counted] == 0.0
+    assert np.all(limit[:, 1:] > 0) and np.array_equal(limit[:, 0] == 0.0, rests) and 0.0 < rests.mean() < 0.5
 
 
 def test_errors_count_from_a_second_after_the_first_step():

@@ -91,10 +91,12 @@ def bound(
     ambient_C: Array,
     noise: Noise,
     prior: Prior,
-    load_changes: Array | None = None,
-    known_at_rest: bool = True,
 ) -> Bound:
     """The bound along a true trajectory.
+
+    A genie tells when the load steps, and by about how much: the size of each change into a sample is a further standard
+    deviation of it. A rotor whose speed is exactly 0 is known to rest: no process noise, no deviation. An estimator that
+    must notice both itself cannot do better.
 
     Args:
         motor: the true motor.
@@ -104,16 +106,11 @@ def bound(
         ambient_C: ambient temperature (N,).
         noise: what is assumed of sensors and walks.
         prior: what is known before the first sample.
-        load_changes: (N,) further standard deviation of the load's change into each sample, N m: for a load that steps,
-            the size of its steps, which a genie tells. An estimator that must notice them itself cannot do better.
-        known_at_rest: whether a resting rotor is known to rest: its speed has no process noise and no deviation.
     """
     names, _ = linearised(motor)
     A = along(motor, [states[name] for name in names], voltage_V, ambient_C)
     size = len(names)
-    resting = np.zeros(len(time_s), dtype=bool)
-    if known_at_rest:
-        resting = np.asarray(states["w"]) == 0.0
+    resting = np.asarray(states["w"]) == 0.0
     biased = noise.voltage_bias_V > 0
     if biased:
         # The bias is one more state that adds to the voltage.
@@ -127,7 +124,7 @@ def bound(
     walks = np.zeros(size)
     walks[names.index("theta")] = noise.thermal_walk**2
     walks[names.index("load")] = noise.load_walk**2
-    changes = np.zeros(len(time_s)) if load_changes is None else np.square(load_changes)
+    changes = np.square(np.diff(states["load"], prepend=states["load"][:1]))
     drive = np.zeros(size)
     drive[0] = noise.voltage_V / motor.L
     covariance = riccati(
@@ -137,19 +134,16 @@ def bound(
     return Bound(np.asarray(time_s), names, covariance, motor.R_a0 * motor.alpha)
 
 
-def bound_of_recording(
-    motor: Motor, recording: Recording, noise: Noise, prior: Prior, load_steps_known: bool = True
-) -> Bound:
-    """The bound along a recording with its true load torque: the trajectory is simulated anew from its inputs.
+def bound_of_recording(motor: Motor, recording: Recording, noise: Noise, prior: Prior) -> Bound:
+    """The bound along what a recording says happened: its true speed, where it has one, temperature and load torque; what
+    it does not say, the current without noise above all, is simulated from its inputs.
 
     Args:
         motor: the true motor.
         recording: voltage, load torque, ambient and temperature. A measured voltage will do where steps excite the motor.
-            Where little does, its noise passes for an excitation, which shows a temperature that nothing shows; and it
-            moves a resting rotor, so that the bound is that of one who does not know that the rotor rests.
+            Where little does, its noise passes for an excitation, which shows a temperature that nothing shows.
         noise: what is assumed.
         prior: what is known before the first sample.
-        load_steps_known: a genie tells when the load steps, and by about how much.
 
     Raises:
         DataError: the recording lacks a channel.
@@ -159,12 +153,11 @@ def bound_of_recording(
             raise DataError(f"{recording.name}: the bound needs the {quantity} channel")
     c = recording.channels
     inputs = Inputs(recording.time_s, c["voltage"], c["load_torque"], c["ambient"])
-    start = {"theta": float(c["temperature"][0] - c["ambient"][0])}
-    start |= {"w": float(c["speed"][0])} if recording.has("speed") else {}
-    trajectory = simulate(motor, inputs, start)
-    states = {**trajectory.states, "load": c["load_torque"]}
-    changes = np.abs(np.diff(c["load_torque"], prepend=c["load_torque"][:1])) if load_steps_known else None
-    return bound(motor, recording.time_s, states, c["voltage"], c["ambient"], noise, prior, changes)
+    true = {"theta": c["temperature"] - c["ambient"]}
+    true |= {"w": c["speed"]} if recording.has("speed") else {}
+    simulated = simulate(motor, inputs, {name: float(values[0]) for name, values in true.items()}).states
+    states = {**simulated, **true, "load": c["load_torque"]}
+    return bound(motor, recording.time_s, states, c["voltage"], c["ambient"], noise, prior)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
