@@ -218,7 +218,7 @@ def spreads(data: Data) -> Spreads:
     if np.all(np.bincount(data.motor) < 2):
         on[1] = False
     allowed = on.copy()
-    at = _likeliest(data, on, np.full(on.shape, 0.03))
+    at = _likeliest(data, on, np.where(on, 0.03, 0.0))
     while on.any():
         gains = _gains(data, on, at)
         useless = on & (gains < HELPS)
@@ -253,13 +253,17 @@ def _gains(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
 
 
 def _likeliest(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
+    """(2, k) spreads at which the evidence is greatest: those that are on are sought, the others stay."""
     if not on.any():
-        return np.zeros(at.shape)
+        return at
+
+    def spread(logarithms: Array) -> Array:
+        sd = at.copy()
+        sd[on] = np.exp(logarithms)
+        return sd
 
     def solved(logarithms: Array) -> Solved:
-        sd = np.zeros(on.shape)
-        sd[on] = np.exp(logarithms)
-        return solve(data, *sd)
+        return solve(data, *spread(logarithms))
 
     begin = np.log(np.clip(at[on], 2 * LEAST, MOST / 2))
     # The search ends where a step wins a small share of the cost, which must not hold what no spread changes: the squares of
@@ -272,9 +276,7 @@ def _likeliest(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
 
     limits = [(np.log(LEAST), np.log(MOST))] * int(on.sum())
     end = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
-    found = np.zeros(on.shape)
-    found[on] = np.exp(end.x)
-    return found
+    return spread(end.x)
 
 
 def _deviations(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
@@ -297,19 +299,21 @@ def _deviations(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
 
 
 def _reckoned(data: Data, off: NDArray[np.bool_], at: Array) -> Array:
-    """Root mean square of each spread that is off, given the others, over its likelihood and an even prior of its square.
+    """Root mean square of each spread that is off, over its profile likelihood and an even prior of its square.
 
-    With one that is even in the spread itself, small spreads are likelier beforehand, and motors are drawn too far to the
-    mean; with this one, intervals hold (Morris and Lysy 2012, doi:10.1214/11-STS363).
+    The others are the likeliest beside each size of it. As they were without it, they stand for what motors truly differ by
+    in it wherever recordings tell two parameters together, and the more motors there are, the surer it seems to be small.
+    With a prior that is even in the spread itself, small spreads are likelier beforehand, and motors are drawn too far to
+    the mean; with this one, intervals hold (Morris and Lysy 2012, doi:10.1214/11-STS363).
     """
     grid = np.geomspace(1e-3, 1.0, 13)
-    out = at.copy()
+    out, on = at.copy(), at > 0
     for row, k in np.argwhere(off):
-        logs = []
+        logs, beside = [], at.copy()
         for size in grid:
-            moved = at.copy()
-            moved[row, k] = size
-            logs.append(solve(data, *moved).evidence)
+            beside[row, k] = size
+            beside = _likeliest(data, on, beside)
+            logs.append(solve(data, *beside).evidence)
         weight = np.exp(np.array(logs) - max(logs)) * grid**2  # the grid is even in the logarithm
         out[row, k] = np.sqrt(np.sum(weight * grid**2) / np.sum(weight))
     return out
