@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from helpers.nameless import nameless
 from scipy.integrate import solve_ivp
 
 from motorlens_physics.effect import Effect, State, catalogue
-from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.forcing import between_samples
 from motorlens_physics.estimate.model import predict, sensitivities_of, with_effect
@@ -21,8 +21,6 @@ from motorlens_physics.ops import cos, exp
 from motorlens_physics.parameter import param
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.contest.contest import contest
-from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.hypotheses.curves import Curve
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
@@ -162,8 +160,7 @@ def test_a_rub_at_one_angle_is_drawn_against_the_angle():
         "current": true.current_A + 0.01 * rng.standard_normal(len(time)),
         "speed": true.speed_rad_s + 0.1 * rng.standard_normal(len(time)),
     }  # fmt: skip
-    outcome = contest(fitted_of(estimate(file, prepare_all([Recording("rub", time, channels)], file))))
-    term = outcome.unnamed
+    term = nameless(file, Recording("rub", time, channels))
     assert term is not None
     shape = term.entry.shape
     assert isinstance(shape, Curve) and shape.against == "angle"
