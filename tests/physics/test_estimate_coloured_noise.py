@@ -62,6 +62,8 @@ def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> N
     assert np.sqrt(voltage_V2) / RATED["voltage"] == pytest.approx(np.hypot(0.005, 0.01), rel=0.25)
     assert np.sqrt(correlated[-1]) / RATED["speed"] == pytest.approx(0.01, rel=0.2)
     assert np.sqrt(noise.channels[-1]) / RATED["speed"] == pytest.approx(0.005, rel=0.2)
+    lasts = noise.lasts_s[-1] / PERIOD_S
+    assert lasts == pytest.approx(-1 / np.log(0.96), rel=0.3)
     values, sd = found.fit.model.values(), found.fit.sd()
     off = {key: (values[key] - motor[key]) / sd[key] for key in ("R_a0", "ke", "J", "b")}
     assert found.converged and max(map(abs, off.values())) < 3, off
@@ -72,6 +74,14 @@ def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> N
 def test_white_noise_is_not_taken_for_coloured() -> None:
     noise = fitted(TYPICAL, white=0.01, coloured=0.0, remains=0.5).runs[0].noise
     assert noise is not None and len(noise.disturbances) == TORQUE + 1
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(("remains", "is_noise"), [(0.7, True), (0.995, False)])
+def test_what_lasts_longer_than_noise_is_none(remains: float, is_noise: bool) -> None:
+    """Correlated over 3 samples, and over 200."""
+    noise = fitted(TYPICAL, white=0.005, coloured=0.01, remains=remains).runs[0].noise
+    assert noise is not None and (len(noise.disturbances) > TORQUE + 1) == is_noise
 
 
 @pytest.mark.fit
