@@ -3,8 +3,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-# Tests share out the cores: a process each, one thread in each.
-PYTEST := $(BIN)/python -m pytest --numprocesses logical --dist worksteal
+# Tests share out the cores: a process each and one more, for a test that waits leaves its core idle; one thread in each.
+WORKERS := $(shell $(PYTHON) -c 'import os; print((os.cpu_count() or 1) + 1)')
+PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
 
 .PHONY: install demo quick test check bench hil sensor clean
 
