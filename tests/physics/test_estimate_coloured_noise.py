@@ -1,8 +1,12 @@
 """Coloured noise of every sensor: it is found as what it is, and does not bend the motor."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers import plain_motor
+from helpers.hidden import draw, generate
 from helpers.plain_motor import RATED, TYPICAL
 from scipy.signal import lfilter
 
@@ -10,9 +14,9 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.noise import TORQUE, VOLTAGE
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.parameter import Rated
-from motorlens_physics.recording import Recording
+from motorlens_physics.recording import Recording, read_recording
 
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
@@ -92,3 +96,15 @@ def test_what_the_model_lacks_is_not_taken_for_noise(missing: dict[str, float]) 
     """A magnet weaker by a tenth halfway through, which no motor that stays the same shows; or what comes for a while."""
     noise = fitted(TYPICAL, **{"white": 0.002, "coloured": 0.0, "remains": 0.96, **missing}).runs[0].noise
     assert noise is not None and len(noise.disturbances) == TORQUE + 1
+
+
+@pytest.mark.fit
+def test_coloured_noise_is_told_from_a_torque_that_nobody_measured(tmp_path: Path) -> None:
+    """A world of the hidden-effect simulator in which nothing is hidden: its noise keeps 0.95 from sample to sample."""
+    drawn = draw("dev", 60, small=True)[49]
+    assert (drawn.noise_kind, drawn.channels) == ("coloured", "voltage_current")
+    world = generate(replace(drawn, kind="none", hidden=(), seed=3), tmp_path)
+    file = read_motor_file(world.motor)
+    run = estimate(file, prepare_all([read_recording(world.recordings[0])], file)).runs[0]
+    assert run.noise is not None and len(run.noise.disturbances) > TORQUE + 1
+    assert run.noise.lasts_s[-1] / run.period_s == pytest.approx(-1 / np.log(0.95), rel=0.4)

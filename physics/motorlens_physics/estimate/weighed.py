@@ -126,7 +126,8 @@ class Errors:
     def with_colour(self) -> "Errors":
         """With coloured noise, if that is likelier; itself if it is not."""
         noise = coloured(self.noise, self.run, self.linear, self.error, self.used)
-        return self if noise is self.noise else replace(self, noise=noise)
+        # The torque lasted as long as the noise that it stood for.
+        return self if noise is self.noise else replace(self, noise=noise).with_duration()
 
     def with_noise(self, updates: int, *, outliers: bool) -> "Errors":
         """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
