@@ -8,9 +8,9 @@ class Criteria:
     """The numbers.
 
     The first three say when a hypothesis is beyond what recordings show in which nothing is missing, the last two when the
-    model is. `python benchmarks/null.py --count 60 --seed 1`, and 2, prints how large the largest of them get: all but two
-    of 120 worlds stay below, and those are near standstill at one sample a second. Flips of signs alone would put `excess`
-    near 5: misfit that is no missing physics has the same sign in every block.
+    model is. `python benchmarks/null.py --count 60 --seed 1`, and 2, prints how large the largest of them get: all but one
+    of 120 worlds stay below, and that one is near standstill at one sample a second, with 10 bit. Flips of signs alone would
+    put `excess` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:
         excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode; twice as far
