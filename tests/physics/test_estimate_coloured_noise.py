@@ -108,3 +108,14 @@ def test_coloured_noise_is_told_from_a_torque_that_nobody_measured(tmp_path: Pat
     run = estimate(file, prepare_all([read_recording(world.recordings[0])], file)).runs[0]
     assert run.noise is not None and len(run.noise.disturbances) > TORQUE + 1
     assert run.noise.lasts_s[-1] / run.period_s == pytest.approx(-1 / np.log(0.95), rel=0.4)
+
+
+@pytest.mark.fit
+def test_what_leaves_more_than_white_noise_is_none(tmp_path: Path) -> None:
+    """A shaft with backlash: its errors last as long as noise does, but are no autoregression."""
+    drawn = draw("dev", 800, small=True)[61]
+    assert [name for name, _ in drawn.hidden] == ["shaft_backlash"]
+    world = generate(drawn, tmp_path)
+    file = read_motor_file(world.motor)
+    noise = estimate(file, prepare_all([read_recording(world.recordings[0])], file)).runs[0].noise
+    assert noise is not None and len(noise.disturbances) == TORQUE + 1

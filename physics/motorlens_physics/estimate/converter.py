@@ -72,7 +72,8 @@ def saturated(y: Array) -> NDArray[np.bool_]:
     ends = np.zeros(len(y), dtype=bool)
     if not step:
         return ends
-    for end in (np.nanmin(y), np.nanmax(y)):
+    there = y[np.isfinite(y)]
+    for end in (there.min(), there.max()):
         codes = abs(end) / step
         whole = 2.0 ** np.ceil(np.log2(max(codes - 0.5, 1.0)))
         if codes > COARSEST_RANGE - 1.5 and min(abs(codes - whole), abs(codes - whole + 1)) < WHOLE:

@@ -42,13 +42,13 @@ INPUTS = ("voltage", "load_torque")
 LASTS, SHORT, WITHIN_A_SAMPLE = (30.0, 300.0, 3000.0), 3.0, 1.0
 # The unmeasured torque begins as this share of the rated one.
 SMALL_TORQUE = 0.01
-# Over how many samples coloured noise is correlated: the shortest, the usual, and what is no noise if that is the likeliest.
-# Where something is missing from the model, its errors nearly always last longer (`benchmarks/hidden_effects.py`).
+# Over how many samples coloured noise is correlated: the shortest, the usual, and what is no noise if that is the likeliest:
+# the errors of a model that lacks something mostly last longer.
 CORRELATED = (3.0, 30.0, 60.0)
 # How near the logarithm of that number is sought.
 DURATION = 0.1
-# Squared autocorrelations that it may leave, over those of as much white noise: noise leaves 0.8 to 1.7, and what is missing
-# from the model and does not last longer 5 and more (worlds of `benchmarks/hidden_effects.py`).
+# Squared autocorrelations that it may leave, over those of as much white noise. `test_estimate_coloured_noise.py` shows both
+# sides: at 1.1 noise is refused, and the backlash of a shaft leaves 4.5.
 WHITE = 3.3
 # Parts of a recording, and the most by which their mean powers may scatter, as a share: of noise less than 0.3, even where a
 # ripple comes and goes; of a real motor's missing drop, friction or iron 0.8 and more.
