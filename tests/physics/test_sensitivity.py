@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.integrators import scipy_solution
+from scipy.linalg import expm
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
@@ -167,6 +168,40 @@ def test_forcings_respond_as_small_changes_of_the_inputs(motor: Motor, held: boo
     np.testing.assert_array_equal(
         run.speed_rad_s, simulate(motor, inputs, {"w": 50.0}, tolerance=1e-8).speed_rad_s
     )
+
+
+@pytest.mark.parametrize("sample_s", [1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 30.0])
+@pytest.mark.parametrize("inductance", [1.0, 1e-3])
+def test_a_steady_motor_is_linearised_as_the_matrix_exponential_says(
+    sample_s: float, inductance: float
+) -> None:
+    # Where nothing changes, a step of the simulation is as long as a sample, however many time constants that is.
+    motor = Motor(alpha=0.0)
+    motor = replace(motor, L=inductance * motor.L)
+    speed = 200.0 / (motor.ke + motor.R_a0 * motor.b / motor.ke)
+    start = {"w": speed, "i": motor.b * speed / motor.ke}
+    constant = np.ones(4)
+    inputs = Inputs(sample_s * np.arange(4.0), 200.0 * constant, 0.0 * constant, 20.0 * constant, held=False)
+    trajectory, linear = linearise(motor, inputs, start)
+    assert np.allclose(trajectory.states["w"], speed, rtol=1e-9)
+    # States i and w, a forcing of either balance, and how far the sample has gone, in units that are as large.
+    units = np.sqrt([motor.L, motor.J])
+    circuit = np.array(
+        [[-motor.R_a0 / motor.L, -motor.ke / motor.L], [motor.ke / motor.J, -motor.b / motor.J]]
+    )
+    scaled = units[:, None] * circuit / units
+    for balance in range(2):
+        rates = np.zeros((4, 4))
+        rates[:2, :2], rates[balance, 2], rates[2, 3] = scaled * sample_s, 1.0, 1.0
+        exact = expm(rates)
+        ours = linear.matrices[1, :2, :2] * units[:, None] / units
+        np.testing.assert_allclose(ours, exact[:2, :2], atol=2e-3)
+        # In units of what a forcing that holds would do to its own state.
+        size = sample_s / units[balance]
+        first, last = (linear.matrices[1, :2, at + balance] * units / size for at in (3, 6))
+        reach = np.abs(exact[:2, 2]).max()
+        np.testing.assert_allclose(first, exact[:2, 2] - exact[:2, 3], atol=2e-3 * reach)
+        np.testing.assert_allclose(last, exact[:2, 3], atol=2e-3 * reach)
 
 
 def test_one_pass_gives_what_two_give() -> None:

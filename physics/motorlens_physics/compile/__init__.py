@@ -80,7 +80,7 @@ def source(system: System) -> str:
         _rest(system),
         _balance(system),
         _linear(system) if forced else _function(_LINEAR, ["pass"]),
-        _function(_TRANSFER, variational.transfer_source(system) if forced else ["pass"]),
+        _function(_TRANSFER, variational.transfer_source(system) if forced else ["return 0.0"]),
         # Without forcings there is nothing to propagate; with them, it is the same for all structures.
         _function(_PROPAGATE, ["pass"]),
     ]
@@ -102,6 +102,7 @@ def _constants() -> list[str]:
     return [
         f"SHRINK, GROW, SAFETY, OPENING = {loop.SHRINK}, {loop.GROW}, {loop.SAFETY}, {loop.OPENING}",
         f"LOCATED, INDUCTANCE = {loop.LOCATED}, {loop.INDUCTANCE}",
+        f"RESOLVED, HALVINGS = {variational.RESOLVED}, {variational.HALVINGS}",
     ]
 
 
