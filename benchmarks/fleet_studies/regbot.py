@@ -27,7 +27,7 @@ def regbot(place: Path, workers: int) -> None:
         {"coulomb_friction.tau_c": 0.0, "brush_voltage_drop.V_b": 0.0},
     )
     write_motor_file(motor, place / "motor.toml")
-    fleet(place / "plant", place / "motor.toml", place / "out", "--as-it-is", "--workers", str(workers))
+    fleet(place / "plant", place / "motor.toml", place / "out", "--brief", "0.1", "--workers", str(workers))
     make = place / "out" / "population.toml"
     errors = []
     for robot, side in ((5, "L"), (5, "R"), (10, "L"), (11, "L")):

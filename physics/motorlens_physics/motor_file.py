@@ -32,18 +32,22 @@ from motorlens_runtime.errors import DataError, ModelError
 from motorlens_runtime.files.shipped import motor_path
 
 SCHEMA = "motorlens.motor/1"
-_TOP = ("schema", "name", "description", "source", "rated", "parameters", "effects", "sensors")
+_TOP = ("schema", "name", "description", "source", "brief_s", "rated", "parameters", "effects", "sensors")
 # Faults that a sensor can have and a command cannot.
 _NO_SENSOR = ("gain", "offset", "lag")
-_ENTRY = ("value", "unit", "sd", "source")
+_ENTRY = ("value", "unit", "sd", "brief_sd", "source")
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of one value: its standard deviation (None: not stated) and where it comes from."""
+    """What is known of one value: its standard deviation (None: not stated) and where it comes from.
+
+    `brief_sd` is by how much a recording of `MotorFile.brief_s` leads away from its motor, see `make`.
+    """
 
     sd: float | None = None
     source: str = ""
+    brief_sd: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ class MotorFile:
     """A motor, its rating plate, its sensors, and what is known of each parameter.
 
     `knowledge` is keyed like the parameters of a fit: "R_a0", "coulomb_friction.tau_c", "speed_sensor_gain.gain".
+    `brief_s` is how long recordings are of which it says by how much they lead away from their motor.
     """
 
     name: str
@@ -60,6 +65,7 @@ class MotorFile:
     knowledge: Mapping[str, Knowledge] = field(default_factory=dict)
     description: str = ""
     text: str = ""  # the TOML it was read from, so that writing keeps comments and order
+    brief_s: float = 0.0
 
     @property
     def parts(self) -> tuple[Effect | SensorModel, ...]:
@@ -137,7 +143,8 @@ def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ())
         for name in faults
     )
     name = str(document.get("name", Path(path).stem))
-    return MotorFile(name, motor, plate, sensors, known, str(document.get("description", "")), text)
+    brief_s = _not_negative(document, "brief_s", where, "s")
+    return MotorFile(name, motor, plate, sensors, known, str(document.get("description", "")), text, brief_s)
 
 
 def voltage_commanded(file: MotorFile) -> MotorFile:
@@ -171,6 +178,10 @@ def to_toml(file: MotorFile) -> str:
     document["name"] = file.name
     if file.description:
         document["description"] = file.description
+    if file.brief_s:
+        _update(document, "brief_s", file.brief_s)
+    else:
+        document.pop("brief_s", None)
     rated = document.setdefault("rated", tomlkit.table())
     for name in Rated.__dataclass_fields__:
         _update(rated, name, getattr(file.rated, name))
@@ -194,6 +205,10 @@ def to_toml(file: MotorFile) -> str:
             _update(entry, "unit", file.meaning(key).unit)
             if known.sd is not None:
                 _update(entry, "sd", float(known.sd))
+            if known.brief_sd:
+                _update(entry, "brief_sd", float(known.brief_sd))
+            else:
+                entry.pop("brief_sd", None)
             if known.source:
                 _update(entry, "source", known.source)
     return tomlkit.dumps(document)
@@ -252,7 +267,7 @@ def _values(
         what = declared[name]
         entry = entry if isinstance(entry, Mapping) else {"value": entry}
         _known(entry, _ENTRY, where, f"{section}.{name}")
-        value, sd = entry.get("value"), entry.get("sd")
+        value = entry.get("value")
         if not _number(value):
             raise ModelError(f"{where}: [{section}] {name} has no number as its value but {value!r}")
         if entry.get("unit", what.unit) != what.unit:
@@ -262,14 +277,20 @@ def _values(
             raise ModelError(
                 f"{where}: [{section}] {name} = {value:g} is outside {low:g} to {high:g} {what.unit}"
             )
-        if sd is not None and (not _number(sd) or sd < 0):
-            raise ModelError(
-                f"{where}: [{section}] sd of {name} is {sd!r}, expected a number in {what.unit}, 0 or more"
-            )
+        here = f"{where}: [{section}]"
+        sd = _not_negative(entry, "sd", here, what.unit, f" of {name}") if "sd" in entry else None
+        brief_sd = _not_negative(entry, "brief_sd", here, what.unit, f" of {name}")
         values[name] = float(value)
         key = f"{owner}.{name}" if owner else name
-        known[key] = Knowledge(None if sd is None else float(sd), str(entry.get("source", "")))
+        known[key] = Knowledge(sd, str(entry.get("source", "")), brief_sd)
     return values
+
+
+def _not_negative(table: Mapping[str, Any], key: str, where: str, unit: str, of: str = "") -> float:
+    value = table.get(key, 0.0)
+    if not _number(value) or value < 0:
+        raise ModelError(f"{where}: {key}{of} is {value!r}, expected a number in {unit}, 0 or more")
+    return float(value)
 
 
 def parse_override(argument: str) -> tuple[str, float]:

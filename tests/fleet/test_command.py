@@ -54,8 +54,32 @@ def test_files_failures_and_a_second_run(plant, capsys):
     assert results == {name: (plant / "out" / name).stat().st_mtime_ns for name in results}
 
 
+def test_what_brief_recordings_are_worth_is_in_the_file_of_the_make(plant, capsys):
+    words = [
+        "--motor",
+        "mellah2016",
+        "--as-it-is",
+        "--workers",
+        "0",
+        "-o",
+        str(plant / "brief"),
+        "--brief",
+        "0.4",
+    ]
+    assert main(["fleet", str(plant / "plant"), *words, "--json", str(plant / "brief.json")]) == 0
+    said = json.loads((plant / "brief.json").read_text())["brief"]
+    make = read_motor_file(plant / "brief/population.toml")
+    assert said["seconds"] == make.brief_s == 0.4
+    assert said["led_away"] == {
+        key: known.brief_sd for key, known in make.knowledge.items() if known.brief_sd
+    }
+    capsys.readouterr()
+
+
 def test_bad_usage_is_one_line(plant, capsys):
     words = ["--motor", "mellah2016", "-o", str(plant / "no"), "--workers", "0"]
+    assert main(["fleet", str(plant / "plant"), *words, "--brief", "0"]) == 1
+    assert "--brief 0: write seconds" in capsys.readouterr().err
     assert main(["fleet", str(plant / "plant"), *words, "--history", "motor_9"]) == 1
     assert "no such motor; there are motor_000" in capsys.readouterr().err
     assert main(["fleet", str(plant / "nowhere"), *words]) == 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from motorlens_workbench.fleet.levels import Data, misfit, solve, spreads
+from motorlens_workbench.fleet.levels import Data, led_away, misfit, solve, spreads
 
 K, MOTORS, EACH = 3, 5, 3
 OMEGA, PSI, KNOWN = np.array([0.3, 0.2, 0.5]), np.array([0.1, 0.4, 0.2]), np.array([1.0, 2.0, 0.7])
@@ -229,3 +229,21 @@ def test_intervals_hold_where_two_parameters_are_told_together():
     assert untold > 10
     # By fleets, each with one pair of spreads: +- 0.5 %. With the other spread left as it is alone, intervals hold less.
     assert 0.935 < np.mean(inside) < 0.965, np.mean(inside)
+
+
+def test_by_how_much_recordings_lead_away_from_motors_that_are_known():
+    """Drawn: known motors, each seen once, where the recording led; of the last parameter nothing is told."""
+    rng, motors = np.random.default_rng(3), 300
+    away, about, noise = np.array([0.2, 0.0, 0.1]), np.array([0.15, 0.1, 0.1]), np.array([0.05, 0.05, 1e3])
+    information = np.broadcast_to(np.diag(noise**-2.0), (motors, K, K))
+    known_as = rng.standard_normal((motors, K))
+    motor = known_as + about * rng.standard_normal((motors, K))
+    seen = motor + np.hypot(away, noise) * rng.standard_normal((motors, K))
+    vector = np.einsum("rij,rj->ri", information, seen)
+    data = Data(information, vector, np.arange(motors), motors, KNOWN, np.ones(motors, dtype=bool))
+    found = led_away(data, known_as, np.broadcast_to(about, (motors, K)))
+    # One in sqrt(2 x 300), of the sum of three variances; without what is not known of the motors it would be 0.25.
+    assert found[0] == pytest.approx(0.2, abs=3 * (0.2**2 + 0.15**2 + 0.05**2) / 0.2 / np.sqrt(2 * motors))
+    assert found[1] < 0.05
+    # As good as no limit.
+    assert found[2] > 1.0

@@ -1,7 +1,7 @@
 """Calibration: the parameters of a motor from recordings, as a motor file that says what is known and what is not."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.prior import Prior, around, base_prior
 from motorlens_physics.estimate.report import Findings, correlation, findings
 from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.make import believed, led_away, of_recordings
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError, ModelError
@@ -26,7 +27,7 @@ class Calibration:
 
     Attributes:
         estimate: the fit of all that was free.
-        findings: what it says of each parameter.
+        findings: what it says of each parameter, a brief recording believed as far as the make says, see `make`.
         file: the motor file with values, deviations and sources of what the recordings tell written in.
     """
 
@@ -156,6 +157,8 @@ def calibrate(
     """
     if not recordings:
         raise ModelError("calibration needs at least one recording")
+    away = led_away(file, sum(float(recording.time_s[-1] - recording.time_s[0]) for recording in recordings))
+    known_before, file = file, of_recordings(file, away)
     runs = prepare_all(recordings, file)
     names = ", ".join(recording.name for recording in recordings)
     if not any(run.moves for run in runs):
@@ -170,8 +173,10 @@ def calibrate(
     said = findings(found.fit)
     if not said.told:
         raise DataError(f"{names}: nothing can be told; the recordings leave every parameter where it was")
-    known = {key: Knowledge(said.sd[key], f"calibrated on {names}") for key in said.told}
-    return Calibration(found, said, file.with_values({key: said.value[key] for key in said.told}, known))
+    value, sd = believed(known_before, away, said.value, said.sd)
+    said = replace(said, value=value, sd=sd)
+    known = {key: Knowledge(sd[key], f"calibrated on {names}") for key in said.told}
+    return Calibration(found, said, known_before.with_values({key: value[key] for key in said.told}, known))
 
 
 def chosen(file: MotorFile, prior: Prior, keys: Sequence[str] | None) -> Prior:

@@ -57,13 +57,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("odd", "all"),
         help="look for what is missing from the make in the odd motors, or in each, as motorlens diagnose does",
     )
+    parser.add_argument(
+        "--brief", type=float, metavar="SECONDS",
+        help="new motors will be recorded for so long: say by how much a recording as brief leads away from its motor",
+    )  # fmt: skip
     add_queue_arguments(parser)
     add_json_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.queue import checked_workers, single_threaded
+    from motorlens_runtime.errors import DataError
 
+    brief_s = arguments.brief
+    if brief_s is not None and not 0 < brief_s < float("inf"):
+        raise DataError(f"--brief {brief_s:g}: write seconds, more than 0")
     workers = checked_workers(arguments.workers)
     if workers == 0 and arguments.scheduler is None:
         single_threaded()
@@ -73,7 +81,6 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_physics.command_inputs import no_values
     from motorlens_physics.motor_file import read_motor_file, to_toml, voltage_commanded
     from motorlens_physics.queue import queue
-    from motorlens_runtime.errors import DataError
     from motorlens_runtime.progress import Progress
     from motorlens_workbench.fleet.diagnosis import diagnosed
     from motorlens_workbench.fleet.manifest import entries
@@ -111,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         stages: list[Progress] = []
         fleet = study(
-            found, job, store, work, grow=not arguments.as_it_is, say=say,
+            found, job, store, work, grow=not arguments.as_it_is, brief_s=brief_s, say=say,
             progress=lambda done, of: stages[-1].update(done / of, f"({done} of {of} recordings)"),
         )  # fmt: skip
         if arguments.diagnose:

@@ -6,7 +6,9 @@ one after the other. With mu integrated out as well, spreads are estimated by re
 Thompson 1971, doi:10.1093/biomet/58.3.545); the gradient to their logarithms is that of Fisher's identity.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +55,7 @@ class Solved:
         motor_covariance: (M, k, k) of mu + b.
         motor_information: (M, k, k) and `motor_vector` (M, k): what the recordings of each motor say of its mean.
         recording: (R, k) expected phi.
-        slopes: (2, k) derivative of the evidence to the logarithms of the spreads, where omega is (k,).
+        slopes: (2, k) derivative of the evidence to the logarithms of the spreads; to those of omega where it is (k,).
     """
 
     evidence: float
@@ -65,6 +67,10 @@ class Solved:
     motor_vector: Array
     recording: Array
     slopes: Array
+
+
+# What `solve` says at spreads between motors and between recordings.
+Model = Callable[[Array, Array], Solved]
 
 
 def solve(data: Data, omega: Array, psi: Array) -> Solved:
@@ -107,14 +113,11 @@ def solve(data: Data, omega: Array, psi: Array) -> Solved:
     moved = hidden @ data.information
     scatter = hidden + moved @ together[data.motor] @ np.swapaxes(moved, 1, 2)
     slopes = np.zeros((2, count))
-    if omega.ndim == 1:
-        for row, sd, off, about, mine in (
-            (0, omega, motor, spread, belongs),
-            (1, psi, rho, scatter, counted),
-        ):
-            on = sd > 0
-            squares = np.sum((off**2 + np.diagonal(about, axis1=1, axis2=2))[mine], axis=0)
-            slopes[row, on] = squares[on] / sd[on] ** 2 - np.count_nonzero(mine)
+    of_all = np.zeros(count) if omega.ndim > 1 else omega
+    for row, sd, off, about, mine in ((0, of_all, motor, spread, belongs), (1, psi, rho, scatter, counted)):
+        on = sd > 0
+        squares = np.sum((off**2 + np.diagonal(about, axis1=1, axis2=2))[mine], axis=0)
+        slopes[row, on] = squares[on] / sd[on] ** 2 - np.count_nonzero(mine)
     return Solved(float(evidence), mean, covariance, motor, together, information, vector, beta + rho, slopes)
 
 
@@ -218,7 +221,8 @@ def spreads(data: Data) -> Spreads:
     if np.all(np.bincount(data.motor) < 2):
         on[1] = False
     allowed = on.copy()
-    at = _likeliest(data, on, np.where(on, 0.03, 0.0))
+    model = partial(solve, data)
+    at = _likeliest(model, on, np.where(on, 0.03, 0.0))
     while on.any():
         gains = _gains(data, on, at)
         useless = on & (gains < HELPS)
@@ -229,10 +233,30 @@ def spreads(data: Data) -> Spreads:
         # Several at once where they are of no use at all: removing them does not change the others.
         weakest = useless & ((gains < 0.1) | (gains == gains[useless].min()))
         on, at[weakest] = on & ~weakest, 0.0
-        at = _likeliest(data, on, at)
+        at = _likeliest(model, on, at)
     sd = _deviations(data, on, at)
-    likely = np.where(on, np.hypot(at, np.nan_to_num(sd)), _reckoned(data, allowed & ~on, at))
+    likely = np.where(on, np.hypot(at, np.nan_to_num(sd)), _reckoned(model, allowed & ~on, at))
     return Spreads(at[0], at[1], sd, likely)
+
+
+def led_away(data: Data, motor: Array, sd: Array) -> Array:
+    """(k,) by how much recordings lead away from their motors, which are known: root mean squares, see `_reckoned`.
+
+    Of a parameter that they do not tell they may lead anywhere.
+
+    Args:
+        data: of the recordings; what is known of the mean counts for nothing.
+        motor, sd: (M, k) what is known of each motor.
+    """
+    moved = np.einsum("rij,rj->ri", data.information, motor[data.motor])
+    about = replace(data, vector=data.vector - moved, known=np.zeros(len(data.known)))
+    on = np.array([[False], [True]]) & np.ones(len(data.known), dtype=bool)
+
+    def model(omega: Array, psi: Array) -> Solved:
+        return solve(about, sd, psi)
+
+    at = _likeliest(model, on, np.where(on, 0.1, 0.0))
+    return np.asarray(_reckoned(model, on, at)[1])
 
 
 def _gains(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
@@ -252,7 +276,7 @@ def _gains(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
     return gains
 
 
-def _likeliest(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
+def _likeliest(model: Model, on: NDArray[np.bool_], at: Array) -> Array:
     """(2, k) spreads at which the evidence is greatest: those that are on are sought, the others stay."""
     if not on.any():
         return at
@@ -263,7 +287,7 @@ def _likeliest(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
         return sd
 
     def solved(logarithms: Array) -> Solved:
-        return solve(data, *spread(logarithms))
+        return model(*spread(logarithms))
 
     begin = np.log(np.clip(at[on], 2 * LEAST, MOST / 2))
     # The search ends where a step wins a small share of the cost, which must not hold what no spread changes: the squares of
@@ -298,22 +322,23 @@ def _deviations(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
     return out
 
 
-def _reckoned(data: Data, off: NDArray[np.bool_], at: Array) -> Array:
-    """Root mean square of each spread that is off, over its profile likelihood and an even prior of its square.
+def _reckoned(model: Model, asked: NDArray[np.bool_], at: Array) -> Array:
+    """Root mean square of each spread that is asked for, over its profile likelihood and an even prior of its square.
 
     The others are the likeliest beside each size of it. As they were without it, they stand for what motors truly differ by
     in it wherever recordings tell two parameters together, and the more motors there are, the surer it seems to be small.
     With a prior that is even in the spread itself, small spreads are likelier beforehand, and motors are drawn too far to
     the mean; with this one, intervals hold (Morris and Lysy 2012, doi:10.1214/11-STS363).
     """
-    grid = np.geomspace(1e-3, 1.0, 13)
-    out, on = at.copy(), at > 0
-    for row, k in np.argwhere(off):
-        logs, beside = [], at.copy()
+    out = at.copy()
+    for row, k in np.argwhere(asked):
+        logs, beside, on = [], at.copy(), at > 0
+        on[row, k] = False
+        grid = np.geomspace(1e-3, MOST if at[row, k] else 1.0, 13)
         for size in grid:
             beside[row, k] = size
-            beside = _likeliest(data, on, beside)
-            logs.append(solve(data, *beside).evidence)
+            beside = _likeliest(model, on, beside)
+            logs.append(model(*beside).evidence)
         weight = np.exp(np.array(logs) - max(logs)) * grid**2  # the grid is even in the logarithm
         out[row, k] = np.sqrt(np.sum(weight * grid**2) / np.sum(weight))
     return out

@@ -23,7 +23,7 @@ from motorlens_workbench.fleet.directions import (
     prior_of,
     scale_of,
 )
-from motorlens_workbench.fleet.levels import Data, Solved, Spreads, solve, spreads
+from motorlens_workbench.fleet.levels import Data, Solved, Spreads, led_away, solve, spreads
 from motorlens_workbench.fleet.odd import (
     FALSE_ALARMS,
     Difference,
@@ -121,6 +121,19 @@ class Population:
         known = {self.keys[k]: Knowledge(float(sd[k]), source) for k in told}
         found = self.file.with_values({self.keys[k]: float(values[k]) for k in told}, known)
         return replace(found, name=f"make of {self.file.name}")
+
+    def led_away(self, observations: Sequence[Observation]) -> Array:
+        """(k,) by how much such recordings of its motors lead away from them: standard deviations, on the scale."""
+        mine = [
+            o for o in observations if o.motor in self.motors and self.belongs[self.motors.index(o.motor)]
+        ]
+        if not mine:
+            return np.zeros(len(self.keys))
+        number = np.array([self.motors.index(o.motor) for o in mine])
+        information, vector = on_scale(mine, self.keys, self.scale)
+        data = replace(self.data, information=information, vector=vector, motor=number)
+        sd = np.sqrt(np.maximum(np.diagonal(self.solved.motor_covariance, axis1=1, axis2=2), 0.0))
+        return led_away(data, self.solved.mean + self.solved.motor, sd)
 
     def _natural(self, phi: Array, variance: Array) -> tuple[Array, Array]:
         return self.scale.natural(phi), np.sqrt(np.maximum(variance, 0)) * self.scale.size

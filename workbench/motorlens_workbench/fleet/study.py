@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.queue import Done
@@ -38,6 +39,19 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
+class Brief:
+    """What recordings are worth that are no longer than this.
+
+    Attributes:
+        seconds: of the beginnings of all recordings that were fitted alone.
+        away: (k,) by how much they lead away from their motors: standard deviations, on the population's scale.
+    """
+
+    seconds: float
+    away: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class Fleet:
     """All that was found.
 
@@ -48,6 +62,7 @@ class Fleet:
         faults: of the sensors with which all were recorded; likewise; part of the make where its motors differ in it.
         histories: of all motors with enough dated recordings.
         diagnoses: motor -> what is missing from the make in it, of those that were diagnosed, see `diagnosis`.
+        brief: what brief recordings are worth, if that was asked.
     """
 
     population: Population
@@ -56,18 +71,31 @@ class Fleet:
     faults: tuple[MakeEffect, ...]
     histories: tuple[Series, ...]
     diagnoses: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    brief: Brief | None = None
 
     @property
     def make(self) -> MotorFile:
         """The motor file of the make: what may be expected of a motor that was not recorded yet.
 
         A sensor's fault that all recordings share is the recorder's; one in which motors differ comes with each motor.
+        Another recorder may be off as far, either way: of one there is, that is the likeliest spread of all.
         """
         file = self.population.new_motor()
-        names = {fault.name for fault in self.faults if not varies(self.population, fault)}
-        known = {key: what for key, what in file.knowledge.items() if key.rpartition(".")[0] not in names}
-        sensors = tuple(sensor for sensor in file.sensors if sensor.name() not in names)
-        return replace(file, sensors=sensors, knowledge=known)
+        known, nulls = dict(file.knowledge), {}
+        for fault in self.faults:
+            if not varies(self.population, fault) and fault.key in known:
+                null = file.meaning(fault.key).null or 0.0
+                off = file.values()[fault.key] - null
+                nulls[fault.key] = null
+                known[fault.key] = replace(
+                    known[fault.key], sd=float(np.hypot(off, known[fault.key].sd or 0.0))
+                )
+        file = file.with_values(nulls)
+        if self.brief is not None:
+            sizes = zip(self.population.keys, self.brief.away * self.population.scale.size, strict=True)
+            known |= {key: replace(known[key], brief_sd=float(sd)) for key, sd in sizes if key in known}
+            file = replace(file, brief_s=self.brief.seconds)
+        return replace(file, knowledge=known)
 
     @property
     def by_oddness(self) -> tuple[int, ...]:
@@ -130,6 +158,7 @@ def size(job: Task) -> int:
 
 def study(
     entries: Sequence[Entry], template: Job, store: Store, work: Work, *, grow: bool = True,
+    brief_s: float | None = None,
     say: Callable[[str], None] = lambda text: None, progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Fleet:  # fmt: skip
     """Fit all recordings and make a population of them.
@@ -140,6 +169,7 @@ def study(
         store: where results are kept.
         work: does the jobs, see `queue`.
         grow: whether effects that most motors have are added to the motor file.
+        brief_s: how long the recordings of new motors will be, if it is to be known what those are worth.
         say, progress: told what goes on.
 
     Raises:
@@ -175,9 +205,18 @@ def study(
         before, found = found, where_likeliest(found, outcomes, template, store, work, progress)
         if near(before, found):
             break
+    brief = None
+    if brief_s is not None:
+        say(f"fitting their first {brief_s:g} s alone")
+        beginnings = [
+            (o.entry, replace(template, path=o.entry.path, file=found.file, seconds=brief_s))
+            for o in outcomes
+            if o.document is not None
+        ]
+        brief = Brief(brief_s, found.led_away(observations(results(beginnings, store, work, progress))))
     return Fleet(
         found, outcomes, tuple(one for one in added if not one.of_sensor),
-        tuple(one for one in added if one.of_sensor), histories(found),
+        tuple(one for one in added if one.of_sensor), histories(found), brief=brief,
     )  # fmt: skip
 
 

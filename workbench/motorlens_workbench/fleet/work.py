@@ -18,6 +18,7 @@ from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF, prepare_all
 from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.ranges import within
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.errors import DataError, MotorlensError
 from motorlens_workbench.fleet.store import canonical, code_version, digest
@@ -47,6 +48,7 @@ class Job:
         columns: `QUANTITY=NAME` each, see `--column`.
         no_values: numbers that stand for a missing value; None: looked for.
         compare: whether the motor file as it is is held against the recording as well.
+        seconds: only so much of the recording, from its first sample on; None: all of it.
     """
 
     path: Path
@@ -54,11 +56,12 @@ class Job:
     columns: tuple[str, ...] = ()
     no_values: tuple[float, ...] | None = None
     compare: bool = False
+    seconds: float | None = None
 
     def key(self) -> str:
         """The name of its result. Raises OSError: the recording cannot be read."""
         beside = self.path.with_name(self.path.name + ".columns.toml")
-        how = json.dumps([self.columns, self.no_values, self.compare])
+        how = json.dumps([self.columns, self.no_values, self.compare, self.seconds])
         mapping = beside.read_bytes() if beside.exists() else b""
         content = (self.path.read_bytes(), mapping, content_of(self.file))
         return digest(
@@ -71,8 +74,9 @@ class Job:
         return (self.path,)
 
     def recording(self) -> Recording:
-        """Read it. Raises DataError: it is none."""
-        return read_recording(self.path, self.columns, self.no_values)
+        """Read it. Raises DataError: it is none, or holds too few samples."""
+        whole = read_recording(self.path, self.columns, self.no_values)
+        return whole if self.seconds is None else within(whole, whole.name, {"": (0.0, self.seconds)})
 
     def result(self) -> dict[str, Any]:
         """What it says of the motor, see `analysed`."""

@@ -74,6 +74,7 @@ def to_json(fleet: Fleet, motor: str) -> dict[str, Any]:
         "effects_of_the_make": [_effect_json(effect) for effect in fleet.effects],
         "sensor_faults_of_all": [_effect_json(fault) for fault in fleet.faults],
         "lacks": _effect_json(found.lacks) if found.lacks else None,
+        "brief": {"seconds": fleet.make.brief_s, "led_away": led_away(fleet)} if fleet.brief else None,
         "population": {
             key: {
                 "value": float(mean[k]), "sd": float(mean_sd[k]), "unit": found.file.meaning(key).unit,
@@ -174,7 +175,19 @@ def _in_common(fleet: Fleet) -> list[str]:
     """What all have in common, a sentence each."""
     lacks = fleet.population.lacks
     more = [] if lacks is None else [f"Most motors also show {_names(lacks.key, lacks.alike)}."]
+    if away := led_away(fleet):
+        unit = {key: unit_text(fleet.population.file.meaning(key).unit) for key in away}
+        sizes = ", ".join(f"{key} {significant(sd)} {unit[key]}".rstrip() for key, sd in away.items())
+        seconds = fleet.make.brief_s
+        more.append(
+            f"The first {seconds:g} s of a recording alone lead away from its motor by (one sd): {sizes}."
+        )
     return [*(make_sentence(fleet, one) for one in (*fleet.effects, *fleet.faults)), *more]
+
+
+def led_away(fleet: Fleet) -> dict[str, float]:
+    """By how much brief recordings lead away from their motors, in units; empty where nobody asked."""
+    return {key: known.brief_sd for key, known in fleet.make.knowledge.items() if known.brief_sd}
 
 
 def differences(fleet: Fleet, m: int) -> list[str]:
