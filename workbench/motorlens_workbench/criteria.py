@@ -46,3 +46,5 @@ class Criteria:
 
 
 CRITERIA = Criteria()
+# Standard deviations within which an interval of 95 % holds.
+INTERVAL = 1.96

@@ -12,15 +12,13 @@ from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.needed import follows, needed_weight
 from motorlens_workbench.contest.worth import own_score
-from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.criteria import CRITERIA, INTERVAL
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import fitted_errors, times_noise
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing
 
-# Standard deviations within which an interval of 95 % holds.
-INTERVAL = 1.96
 # Names in a group that anybody would read.
 GROUP = 6
 
@@ -225,7 +223,13 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         )
     said += [_only_together(found, one) for one in held if not _told_alone(found, one)]
     said += [_refused(found, name) for name in refused]
-    return [*said, *findings(_as_fit(found)).sentences]
+    told = findings(_as_fit(found))
+    if told.untold:
+        # One sentence: which they are is all that matters here, and a table has the values.
+        said.append(
+            f"These recordings do not tell {', '.join(told.untold)}: nothing but what was known before stands behind them."
+        )
+    return [*said, *told.confounded, *told.at_bound.values(), *told.far.values()]
 
 
 def _as_fit(found: Finding) -> Fit:

@@ -158,7 +158,7 @@ def enter_anew(
 
     if not named:
         return Step()
-    say(f"estimating anew with each of {', '.join(name.replace('_', ' ') for name in named)}")
+    say(f"estimating anew with each of {len(named)} names that may stand there")
     nothing = Step(estimated=tuple(named))
     base = nearly(here.fitted)
     if base is None:

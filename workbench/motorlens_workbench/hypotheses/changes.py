@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import Forcing
+from motorlens_physics.estimate.prior import RELATIVE_SD
+from motorlens_workbench.criteria import INTERVAL
 from motorlens_workbench.evidence.ledger import Ledger
 from motorlens_workbench.evidence.score import Entry
 from motorlens_workbench.hypotheses.courses import of_parameter
@@ -59,6 +61,24 @@ class Change:
     def by(self, coefficient: float) -> float:
         """How much, as a share of the fitted value."""
         return coefficient * self.per / self.value if self.value else float("inf")
+
+    def told(self, coefficient: float) -> str:
+        """What happened, in words. What a motor does not do by itself is said by its moment: the parameter stands for it.
+
+        >>> change = Change("R_a0", "electrical", "ohm", 1.0, 2.0, "a.csv", np.array([0.0, 0.1, 0.2, 0.9]))
+        >>> change.told(0.2)
+        'R_a0 changes at once, by +10 %, at 0.2 s of a.csv'
+        >>> change.told(3.0)  # doctest: +ELLIPSIS
+        'something happens at 0.2 s of a.csv: from then on it is as if R_a0 were 2.5 times what it was before, ...
+        """
+        by, when = self.by(coefficient), f"at {self.at_s:.4g} s of {self.recording}"
+        if abs(by) <= INTERVAL * RELATIVE_SD.get(self.term, np.inf):
+            return f"{self.term} changes at once, by {100 * by:+.2g} %, {when}"
+        return (
+            f"something happens {when}: from then on it is as if {self.term} were {1 + by:.2g} times what it was before, "
+            "more than motors of a kind differ by; look there for what was switched, coupled or came loose, and whether "
+            "all channels were recorded at the same time"
+        )
 
     def columns(self, line: Line) -> Array:
         """(N, C, 1) what the change would do to the channels of its recording; nothing in another."""

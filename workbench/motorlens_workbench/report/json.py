@@ -185,8 +185,7 @@ def _shape(score: Score) -> str:
     if isinstance(shape, Memory):
         return f"it follows the past of the {shape.past} and is shown against the frequency of that, in {shape.unit}"
     if isinstance(shape, Change):
-        by = 100 * shape.by(float(score.coefficient[0]))
-        return f"{shape.term} changes at once, by {by:+.2g} %, at {shape.at_s:.4g} s of {shape.recording}"
+        return shape.told(float(score.coefficient[0]))
     if isinstance(shape, Contact):
         return (
             f"{shape.term} comes and goes as with a loose contact: some {shape.by:.2g} {shape.unit} more for "
