@@ -2,11 +2,13 @@
 
 import ast
 import importlib
+import sys
 from functools import cache
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
-from helpers.processes import LIMIT_S
+from helpers.processes import LIMIT_S, Program, eventually
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -94,6 +96,55 @@ def test_examples_are_the_same_whatever_was_imported_before(
     importlib.import_module("full_of_constants")
     draw()
     assert len(first) > 50 and drawn == first
+
+
+COMPILES = """
+import sys
+from pathlib import Path
+sys.path[:0] = [TESTS, FOLDER]
+from helpers.machine_code import share
+share(Path(FOLDER), Path(FOLDER + "/own-" + NAME))
+from numba.core import event
+class Counted(event.Listener):
+    count = 0
+    def on_start(self, seen):
+        self.count += seen.data["dispatcher"].py_func.__module__ == "needed_by_all"
+    def on_end(self, seen):
+        pass
+counted = Counted()
+event.register("numba:compile", counted)
+import needed_by_all
+print("ready", flush=True)
+input()
+print(needed_by_all.outer(3.0), counted.count)
+"""
+
+
+@pytest.mark.fit
+def test_what_workers_need_at_the_same_time_is_compiled_by_one_of_them(tmp_path: Path) -> None:
+    (tmp_path / "needed_by_all.py").write_text(
+        "from numba import njit\n@njit(cache=True)\ndef inner(x):\n    return x + 1\n"
+        "@njit(cache=True)\ndef outer(x):\n    return inner(x) * inner(2 * x)\n"
+    )
+    commands = [
+        [
+            sys.executable,
+            "-c",
+            f"TESTS, FOLDER, NAME = {str(HERE)!r}, {str(tmp_path)!r}, {name!r}\n{COMPILES}",
+        ]
+        for name in "ab"
+    ]
+    with Program(commands[0], stdin=PIPE) as one, Program(commands[1], stdin=PIPE) as other:
+        programs = one, other
+        eventually(lambda: all(program.out for program in programs), "both", *programs)
+        for program in programs:
+            program.stdin.write("go\n")
+            program.stdin.flush()
+        for program in programs:
+            assert program.ended() == 0, program.told()
+        told = [program.line(1).split() for program in programs]
+    assert [result for result, _ in told] == ["28.0", "28.0"]
+    assert sorted(int(count) for _, count in told) == [0, 2]
 
 
 def _is_sleep(statement: ast.stmt) -> bool:

@@ -1,4 +1,6 @@
-"""numba's cache, shared by the workers of a run: what one has compiled, the others load.
+"""numba's cache, shared by the workers of a run: what one compiles, the others wait for and load.
+
+Workers begin with tests of one kind: without waiting, each would compile what all of them need.
 
 numba reads the index of a function, adds to it and writes it without a lock, and writes the code after the index that names
 it (numba.core.caching.IndexDataCacheFile): two processes at once can leave an index that points at the wrong code. Workers
@@ -11,6 +13,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,8 @@ def share(folder: Path, own: Path) -> None:
     # Read by numba when it is imported, and by the programs that tests start.
     os.environ["NUMBA_CACHE_DIR"] = str(own)
     from numba.core import caching, config
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
 
     config.CACHE_DIR = str(folder)
     file: Any = caching.IndexDataCacheFile
@@ -41,6 +46,25 @@ def share(folder: Path, own: Path) -> None:
             save(self, key, data)
 
     file.load, file.save = load_in_turn, save_in_turn
+    compile_, compiling = Dispatcher.compile, set[str]()
+
+    def compile_once(self: Any, signature: Any) -> Any:
+        """Load or compile a function while no other worker does; what it calls is compiled within, and never calls it."""
+        own_file = getattr(self._cache, "_cache_file", None)
+        # Numba's own lock first: of the threads of a worker one waits for another worker, not for each other.
+        with global_compiler_lock:
+            if own_file is None or own_file._index_path in compiling:
+                return compile_(self, signature)
+            compiling.add(own_file._index_path)
+            name = sha256(own_file._index_path.encode()).hexdigest()
+            try:
+                with (folder / f"{name}.compiles").open("w") as lock:
+                    fcntl.flock(lock, fcntl.LOCK_EX)
+                    return compile_(self, signature)
+            finally:
+                compiling.discard(own_file._index_path)
+
+    Dispatcher.compile = compile_once
 
 
 def _copy(index: Path, folder: Path, own: Path) -> None:

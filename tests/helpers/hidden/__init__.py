@@ -53,6 +53,8 @@ from helpers.hidden.world import (
     write_csv,
 )
 
+# A record, and its true channels.
+Written = tuple[Record, dict[str, plant.Array]]
 # Rounds in which sizes are made consistent with what they are worth.
 _TRIALS = 5
 
@@ -114,12 +116,12 @@ def _sizes(case: Case) -> tuple[list[Sized], list[Judgement], list[bool]]:
 def generate(case: Case, directory: Path) -> Generated:
     """Write the recordings and the datasheet of a case into `directory`; the truth is returned, not written."""
     case, sized, judged, testable = size_up(case)
-    paths, motor, floor = _write(case, sized, directory)
+    paths, motor, written = _write(case, sized, directory)
     truth: dict[str, object] = {
         "case": case.as_json(),
         "kind": case.kind,
         "textbook": specimen(case),
-        "floor": floor,
+        "floor": _floor(case, sized, written),
         "hidden": [
             _told(case, effect, judgement, factor, able)
             for effect, judgement, (_, factor), able in zip(sized, judged, case.hidden, testable, strict=True)
@@ -151,22 +153,16 @@ def _known(truth: dict[str, Any]) -> tuple[Case, list[Sized]]:
     return Case(**(truth["case"] | {"hidden": hidden})), sized
 
 
-def _write(case: Case, sized: list[Sized], directory: Path) -> tuple[list[Path], Path, dict[str, float]]:
+def _write(case: Case, sized: list[Sized], directory: Path) -> tuple[list[Path], Path, list[Written]]:
     directory.mkdir(parents=True, exist_ok=True)
-    paths = []
-    square: dict[str, list[float]] = {}
+    paths, written = [], []
     for record in records_of(case):
         paths.append(directory / ("slow.csv" if record.slow else "fast.csv"))
-        inputs, channels = _write_record(case, sized, record, paths[-1])
-        for name, rms in _floor(case, record, sized, inputs, channels).items():
-            square.setdefault(name, []).append(rms**2)
-    motor = case.of_motor().write_datasheet(directory / "motor.toml")
-    return paths, motor, {name: float(np.sqrt(np.mean(values))) for name, values in square.items()}
+        written.append((record, _write_record(case, sized, record, paths[-1])))
+    return paths, case.of_motor().write_datasheet(directory / "motor.toml"), written
 
 
-def _write_record(
-    case: Case, sized: list[Sized], record: Record, path: Path
-) -> tuple[plant.Array, dict[str, plant.Array]]:
+def _write_record(case: Case, sized: list[Sized], record: Record, path: Path) -> dict[str, plant.Array]:
     states, inputs = run_truth(case, record, specimen(case), sized)
     channels = true_channels(case, record, states, inputs)
     time, shown = measured(case, record, channels, sized)
@@ -181,27 +177,28 @@ def _write_record(
         columns["angle_rad"] = np.floor(angle * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
     columns |= decoys(case, record, time, shown["current"])
     write_csv(path, columns)
-    return inputs, channels
+    return channels
 
 
-def _floor(
-    case: Case, record: Record, sized: list[Sized], inputs: plant.Array, channels: dict[str, plant.Array]
-) -> dict[str, float]:
+def _floor(case: Case, sized: list[Sized], written: list[Written]) -> dict[str, float]:
     """The rms that the true model leaves in each output when it is driven by the measured inputs."""
     physics = [effect for effect in sized if "_sensor_" not in effect.name]
-    _, shown = measured(case, record, channels, [])
-    seen = replace(
-        record.drive,
-        voltage=shown["voltage"],
-        load=shown.get("load_torque", record.drive.load),
-        reference=None,
-    )
-    p, driven = build(case, replace(record, drive=seen), specimen(case), physics)
-    states = plant.simulate(seen.dt, driven, record.start, p, substeps(case, record))
-    ideal = true_channels(case, record, states, driven)
-    return {
-        name: float(np.sqrt(np.mean((shown[name] - ideal[name]) ** 2))) for name in OUTPUTS if name in shown
-    }
+    square: dict[str, list[float]] = {}
+    for record, channels in written:
+        _, shown = measured(case, record, channels, [])
+        seen = replace(
+            record.drive,
+            voltage=shown["voltage"],
+            load=shown.get("load_torque", record.drive.load),
+            reference=None,
+        )
+        p, driven = build(case, replace(record, drive=seen), specimen(case), physics)
+        states = plant.simulate(seen.dt, driven, record.start, p, substeps(case, record))
+        ideal = true_channels(case, record, states, driven)
+        for name in OUTPUTS:
+            if name in shown:
+                square.setdefault(name, []).append(float(np.mean((shown[name] - ideal[name]) ** 2)))
+    return {name: float(np.sqrt(np.mean(values))) for name, values in square.items()}
 
 
 def _told(case: Case, effect: Sized, judgement: Judgement, factor: float, able: bool) -> dict[str, object]:

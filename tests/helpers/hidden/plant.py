@@ -241,6 +241,13 @@ def _between(u0, u1, s, out):
 
 
 @nb.njit(cache=True)
+def _put(x, out):
+    # One by one: numba takes two seconds to compile what a slice assignment would say if lengths differed.
+    for j in range(x.size):
+        x[j] = out[j]
+
+
+@nb.njit(cache=True)
 def _mode_at_rest(x, u, t, p):
     torque = driving(x, u, p)
     forwards, backwards = holding(x, u, t, p)
@@ -254,8 +261,9 @@ def _advance(x, h, u0, u1, t, mode, frictional, fan_on, p, work, ua, ub, out):
     for _ in range(12):
         _between(u0, u1, done, ua)
         if not frictional:
-            _sdirk(x, h, u0, u1, t, 1, fan_on, p, work, out)
-            x[:] = out
+            # A direction known when it is compiled would be compiled once more.
+            _sdirk(x, h, u0, u1, t, np.int64(1), fan_on, p, work, out)
+            _put(x, out)
             return mode
         if mode == 0:
             x[W] = 0.0
@@ -264,7 +272,7 @@ def _advance(x, h, u0, u1, t, mode, frictional, fan_on, p, work, ua, ub, out):
         _sdirk(x, rest * h, ua, u1, t + done * h, mode, fan_on, p, work, out)
         leaves = mode == 0 and _mode_at_rest(out, u1, t + h, p) != 0
         if not leaves and not (mode != 0 and out[W] * mode < 0):
-            x[:] = out
+            _put(x, out)
             return mode
         low, high = 0.0, 1.0  # the event lies between these shares of what is left of the step
         w_low, w_high = x[W] * mode, out[W] * mode
@@ -284,7 +292,7 @@ def _advance(x, h, u0, u1, t, mode, frictional, fan_on, p, work, ua, ub, out):
                 low, w_low = middle, out[W] * mode
             if high - low < 1e-10 or (mode != 0 and abs(out[W]) < 1e-11):
                 break
-        x[:] = out
+        _put(x, out)
         done += rest * middle
         _between(u0, u1, done, ub)
         if mode != 0:
@@ -293,8 +301,8 @@ def _advance(x, h, u0, u1, t, mode, frictional, fan_on, p, work, ua, ub, out):
         if 1.0 - done < 1e-9:
             return mode
     _between(u0, u1, done, ua)
-    _sdirk(x, (1.0 - done) * h, ua, u1, t + done * h, 0, fan_on, p, work, out)
-    x[:] = out
+    _sdirk(x, (1.0 - done) * h, ua, u1, t + done * h, np.int64(0), fan_on, p, work, out)
+    _put(x, out)
     return 0
 
 
@@ -323,7 +331,7 @@ def _run(dt, inputs, x0, p, substeps, reference, gains, states):
     mode = int(np.sign(x[W]))
     fan_on = False
     integral = 0.0
-    states[0] = x
+    _put(states[0], x)
     h = dt / substeps
     for row in range(n - 1):
         if reference.size > 0:
@@ -342,7 +350,7 @@ def _run(dt, inputs, x0, p, substeps, reference, gains, states):
             _between(inputs[row], inputs[row + 1], s / substeps, u0)
             _between(inputs[row], inputs[row + 1], (s + 1) / substeps, u1)
             mode = _advance(x, h, u0, u1, row * dt + s * h, mode, frictional, fan_on, p, work, ua, ub, out)
-            states[row * substeps + s + 1] = x
+            _put(states[row * substeps + s + 1], x)
 
 
 class Controller(NamedTuple):
