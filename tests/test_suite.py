@@ -8,7 +8,7 @@ from pathlib import Path
 from subprocess import PIPE
 
 import pytest
-from helpers.processes import LIMIT_S, Program, eventually
+from helpers.processes import LIMIT_S, Program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -98,12 +98,7 @@ def test_examples_are_the_same_whatever_was_imported_before(
     assert len(first) > 50 and drawn == first
 
 
-COMPILES = """
-import sys
-from pathlib import Path
-sys.path[:0] = [TESTS, FOLDER]
-from helpers.machine_code import share
-share(Path(FOLDER), Path(FOLDER + "/own-" + NAME))
+COUNTS = """
 from numba.core import event
 class Counted(event.Listener):
     count = 0
@@ -114,37 +109,47 @@ class Counted(event.Listener):
 counted = Counted()
 event.register("numba:compile", counted)
 import needed_by_all
+"""
+PROGRAM = f"""{COUNTS}
+needed_by_all.outer(3.0)
+print(counted.count)
+"""
+WORKER = f"""
+import subprocess, sys
+from pathlib import Path
+sys.path[:0] = [TESTS, FOLDER]
+from helpers.machine_code import share
+share(Path(FOLDER) / "all", Path(FOLDER) / NAME)
+{COUNTS}
 print("ready", flush=True)
 input()
-print(needed_by_all.outer(3.0), counted.count)
+print(needed_by_all.outer(3.0), counted.count, flush=True)
+print(subprocess.check_output([sys.executable, "-c", {PROGRAM!r}], cwd=FOLDER, timeout=LIMIT_S, text=True))
 """
 
 
 @pytest.mark.fit
-def test_what_workers_need_at_the_same_time_is_compiled_by_one_of_them(tmp_path: Path) -> None:
+def test_what_workers_and_their_programs_need_at_the_same_time_is_compiled_once(tmp_path: Path) -> None:
+    (tmp_path / "all").mkdir()
     (tmp_path / "needed_by_all.py").write_text(
         "from numba import njit\n@njit(cache=True)\ndef inner(x):\n    return x + 1\n"
         "@njit(cache=True)\ndef outer(x):\n    return inner(x) * inner(2 * x)\n"
     )
-    commands = [
-        [
-            sys.executable,
-            "-c",
-            f"TESTS, FOLDER, NAME = {str(HERE)!r}, {str(tmp_path)!r}, {name!r}\n{COMPILES}",
-        ]
-        for name in "ab"
-    ]
+    given = f"TESTS, FOLDER, LIMIT_S = {str(HERE)!r}, {str(tmp_path)!r}, {LIMIT_S}"
+    commands = [[sys.executable, "-c", f"{given}\nNAME = {name!r}\n{WORKER}"] for name in "ab"]
     with Program(commands[0], stdin=PIPE) as one, Program(commands[1], stdin=PIPE) as other:
         programs = one, other
-        eventually(lambda: all(program.out for program in programs), "both", *programs)
+        for program in programs:
+            assert program.line() == "ready"
         for program in programs:
             program.stdin.write("go\n")
             program.stdin.flush()
         for program in programs:
             assert program.ended() == 0, program.told()
-        told = [program.line(1).split() for program in programs]
-    assert [result for result, _ in told] == ["28.0", "28.0"]
-    assert sorted(int(count) for _, count in told) == [0, 2]
+        told = [(program.line(1).split(), program.line(2)) for program in programs]
+    assert [result for (result, _), _ in told] == ["28.0", "28.0"]
+    assert sorted(int(count) for (_, count), _ in told) == [0, 2]
+    assert [by_a_program for _, by_a_program in told] == ["0", "0"]
 
 
 def _is_sleep(statement: ast.stmt) -> bool:

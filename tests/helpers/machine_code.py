@@ -5,12 +5,13 @@ Workers begin with tests of one kind: without waiting, each would compile what a
 numba reads the index of a function, adds to it and writes it without a lock, and writes the code after the index that names
 it (numba.core.caching.IndexDataCacheFile): two processes at once can leave an index that points at the wrong code. Workers
 take turns here. Programs that tests start know of no lock; they are given a folder of their worker's own, with a copy of
-what the worker has used.
+what all workers have compiled until then.
 """
 
 import fcntl
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
@@ -31,19 +32,24 @@ def share(folder: Path, own: Path) -> None:
     load, save = file.load, file.save
 
     @contextmanager
-    def turn(self: Any) -> Iterator[None]:
+    def turn() -> Iterator[None]:
         with (folder / "lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
-            _copy(Path(self._index_path), folder, own)
 
     def load_in_turn(self: Any, key: Any) -> Any:
-        with turn(self):
+        with turn():
             return load(self, key)
 
     def save_in_turn(self: Any, key: Any, data: Any) -> None:
-        with turn(self):
+        with turn():
             save(self, key, data)
+
+    def before_a_program(event: str, arguments: object) -> None:
+        if event == "subprocess.Popen":
+            with turn():
+                for index in folder.rglob("*.nbi"):
+                    _copy(index, folder, own)
 
     file.load, file.save = load_in_turn, save_in_turn
     compile_, compiling = Dispatcher.compile, set[str]()
@@ -65,12 +71,11 @@ def share(folder: Path, own: Path) -> None:
                 compiling.discard(own_file._index_path)
 
     Dispatcher.compile = compile_once
+    sys.addaudithook(before_a_program)
 
 
 def _copy(index: Path, folder: Path, own: Path) -> None:
     """The index of a function and its code, where they have changed: code first, for whoever reads the copy."""
-    if not index.is_relative_to(folder) or not index.exists():
-        return
     place = own / index.parent.relative_to(folder)
     place.mkdir(parents=True, exist_ok=True)
     for path in (*index.parent.glob(f"{index.stem}.*.nbc"), index):
