@@ -59,6 +59,7 @@ def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_
         str(python),
         "install",
         "-q",
+        "--no-compile",
         "--no-deps",
         "--no-index",
         str(wheel),
@@ -97,7 +98,7 @@ def test_the_wheel_without_extras_infers_and_nothing_heavy_is_there(tmp_path, wh
     venv.create(tmp_path / "clean", with_pip=False)
     python = tmp_path / "clean" / "bin" / "python"
     installed = subprocess.run(
-        [sys.executable, "-m", "pip", "--python", python, "install", "-q", wheel],
+        [sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-compile", wheel],
         capture_output=True,
         text=True,
         timeout=600,

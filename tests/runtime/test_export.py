@@ -51,12 +51,15 @@ def test_what_is_exported_compiles_strictly_and_gives_its_golden_values(name, pr
     assert found["precision"] == ("double" if precision else "single")
     assert 0 < found["proof"]["estimate_error"] < 1e-5 and 0 < found["proof"]["sigma_error"] < 1e-4
     strict = ["-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
-    for program in ("golden_test", "main"):
-        subprocess.run(
-            [compilers()[0], *STRICT_FLAGS, *strict, "-O1", "-o", program, f"{program}.c",
-             *(path.name for path in sources(tmp_path / "c")), "-lm"],
-            cwd=tmp_path / "c", check=True, timeout=600,
-        )  # fmt: skip
+    compiler, shared = [compilers()[0], *STRICT_FLAGS, *strict, "-O1"], sources(tmp_path / "c")
+    for words in (
+        ["-c", *(path.name for path in shared)],
+        *(
+            ["-o", program, f"{program}.c", *(path.with_suffix(".o").name for path in shared), "-lm"]
+            for program in ("golden_test", "main")
+        ),
+    ):
+        subprocess.run([*compiler, *words], cwd=tmp_path / "c", check=True, timeout=600)
     assert (
         subprocess.run([tmp_path / "c/golden_test"], stdout=subprocess.DEVNULL, timeout=600).returncode == 0
     )
