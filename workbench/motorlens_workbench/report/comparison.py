@@ -117,7 +117,7 @@ def to_text(found: Comparison) -> str:
         rows.append(_when(found) + ".")
     rows += [
         "",
-        f"{'time scale':14}" + "".join(f"{band:>12}" for band in ("thermal", "mechanical", "electrical")),
+        f"{'at the pace of':14}" + "".join(f"{band:>12}" for band in ("thermal", "mechanical", "electrical")),
     ]
     for name, bands in found.bands.items():
         rows.append(f"{name:14}" + "".join(f"{100 * share:10.0f} %" for share in bands.values()))
@@ -191,6 +191,8 @@ def _times(value: float) -> str:
 def _when(found: Comparison) -> str:
     half = found.half
     of = f" of {half.recording}" if len(found.overlays) > 1 else ""
+    if half.start_s == half.stop_s:
+        return f"half of the squared error of {half.channel} is that of one sample{of}, at {significant(half.start_s)} s"
     return (
         f"half of the squared error of {half.channel} lies in {significant(100 * half.share, 2)} % of the time{of}: "
         f"{significant(half.start_s)} to {significant(half.stop_s)} s"

@@ -11,6 +11,8 @@ from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.look import best_of
+from motorlens_workbench.hypotheses.changes import Change
+from motorlens_workbench.hypotheses.courses import Course
 from motorlens_workbench.report.json import least_text, next_command, risen, size_text
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Page, Section, significant, unit_text
@@ -90,9 +92,13 @@ def _shape(verdict: Verdict) -> Plot:
         "Added to the right-hand side of its balance, after the base parameters have explained what they can; what they can "
         "imitate (an offset, a slope) is not in it. Shaded: the 90 % band."
     )
+    label, line = f"{shape.term}, {shape.unit}", "missing term"
+    if isinstance(shape, Course | Change):
+        label, line = f"change of {label}", "change"
+        caption = "How far the parameter is from the constant that fits best. Shaded: the 90 % band."
     return curves(
-        f"{shape.against}, {UNIT_AGAINST[shape.against]}", f"{shape.term}, {shape.unit}", x,
-        {"missing term": ("lacking", y)}, band=(y - 1.645 * sd, y + 1.645 * sd), caption=caption,
+        f"{shape.against}, {UNIT_AGAINST[shape.against]}", label, x,
+        {line: ("lacking", y)}, band=(y - 1.645 * sd, y + 1.645 * sd), caption=caption,
     )  # fmt: skip
 
 

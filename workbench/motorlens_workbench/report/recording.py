@@ -29,6 +29,19 @@ class Heading:
     samples: tuple[str, ...]
     quantity: str
 
+    @property
+    def shown(self) -> str:
+        """The first values, where there are numbers among them.
+
+        >>> Heading("message", ("nan", "nan"), "").shown
+        'no numbers'
+        >>> Heading("current_A", ("nan", "1.5"), "current").shown
+        '-, 1.5'
+        """
+        if all(sample == "nan" for sample in self.samples):
+            return "no numbers"
+        return ", ".join("-" if sample == "nan" else sample for sample in self.samples)
+
 
 @dataclass(frozen=True)
 class Sight:
@@ -97,7 +110,7 @@ def to_text(sight: Sight) -> str:
     rows = [sentence(sight), ""] if sight.recording is not None else []
     wide = max(32, *(2 + len(heading.heading) for heading in sight.headings))
     rows.append(f"{'column':<{wide}}{'taken for':<14}first values")
-    rows += [f"{h.heading:<{wide}}{h.quantity or '-':<14}{', '.join(h.samples)}" for h in sight.headings]
+    rows += [f"{h.heading:<{wide}}{h.quantity or '-':<14}{h.shown}" for h in sight.headings]
     if sight.recording is not None:
         rows += ["", f"{'quantity':<14}{'smallest':>12}{'largest':>12}"]
         for quantity, (low, high) in _extremes(sight.recording).items():
@@ -111,7 +124,7 @@ def to_html(sight: Sight, command: str) -> Page:
     recording = sight.recording
     columns = Table(
         ["column", "taken for", "first values"],
-        [[h.heading, h.quantity.replace("_", " ") or "-", ", ".join(h.samples)] for h in sight.headings],
+        [[h.heading, h.quantity.replace("_", " ") or "-", h.shown] for h in sight.headings],
         names=[h.heading for h in sight.headings],
     )
     sections = [Section("Columns", [columns])]
