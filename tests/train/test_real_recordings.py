@@ -1,7 +1,5 @@
 """Sensors trained on real motors, judged on other real motors: speed of the robots' wheels from voltage and current."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +7,7 @@ import pytest
 from helpers.recordings import REGBOT_LEFT, needs_recordings, regbot
 
 from motorlens_physics.recording import Recording, read_recording
+from motorlens_runtime.cli import main
 
 TRAINED, UNSEEN = (1, 3), (4, 5)
 
@@ -17,11 +16,8 @@ def columns() -> list[str]:
     return [argument for mapping in REGBOT_LEFT for argument in ("--column", mapping)]
 
 
-def motorlens(*arguments: object) -> subprocess.CompletedProcess[str]:
-    program = [sys.executable, "-c", "from motorlens_runtime.cli import main; raise SystemExit(main())"]
-    return subprocess.run(
-        [*program, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=600
-    )
+def motorlens(*arguments: object) -> int:
+    return main([*map(str, arguments)])
 
 
 def steady_state_rmse(recordings: list[Recording], unseen: Recording) -> float:
@@ -39,8 +35,7 @@ def steady_state_rmse(recordings: list[Recording], unseen: Recording) -> float:
 @pytest.fixture(scope="module")
 def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("regbot") / "regbot.onnx"
-    done = motorlens("train", "--recordings", *map(regbot, TRAINED), *columns(), "--seed", 1, "-o", path)
-    assert done.returncode == 0, done.stderr
+    assert motorlens("train", "--recordings", *map(regbot, TRAINED), *columns(), "--seed", 1, "-o", path) == 0
     return path
 
 
@@ -49,8 +44,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("robot", UNSEEN)
 def test_speed_of_a_robot_not_trained_on(sensor: Path, robot: int, tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
-    done = motorlens("infer", regbot(robot), *columns(), "--sensor", sensor, "-o", out)
-    assert done.returncode == 0, done.stderr
+    assert motorlens("infer", regbot(robot), *columns(), "--sensor", sensor, "-o", out) == 0
     truth = read_recording(regbot(robot), REGBOT_LEFT)
     estimate = np.genfromtxt(out, delimiter=",", names=True, dtype=None, encoding="utf-8")
     error = float(np.sqrt(np.mean((estimate["speed_rad_s"] - truth.channels["speed"]) ** 2)))
@@ -66,17 +60,18 @@ def test_speed_of_a_robot_not_trained_on(sensor: Path, robot: int, tmp_path: Pat
 @needs_recordings
 def test_what_was_not_measured_is_not_promised(sensor: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
-    assert motorlens("infer", regbot(4), *columns(), "--sensor", sensor, "-o", out).returncode == 0
+    assert motorlens("infer", regbot(4), *columns(), "--sensor", sensor, "-o", out) == 0
     heading = out.read_text(encoding="utf-8").partition("\n")[0]
     assert "speed_rad_s" in heading and "temperature" not in heading and "resistance" not in heading
 
 
 @pytest.mark.fit
 @needs_recordings
-def test_a_recording_without_current_is_refused_in_one_line(tmp_path: Path) -> None:
-    done = motorlens(
-        "train", "--recordings", regbot(1), "--column", "voltage=vL_V", "--column", "speed=wL_rad_s",
-        "-o", tmp_path / "x.onnx",
-    )  # fmt: skip
-    assert done.returncode == 1 and done.stderr.count("\n") == 1
-    assert "robot_01.csv: no current column" in done.stderr and "--column current=NAME" in done.stderr
+def test_a_recording_without_current_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = ["--column", "voltage=vL_V", "--column", "speed=wL_rad_s"]
+    assert motorlens("train", "--recordings", regbot(1), *named, "-o", tmp_path / "x.onnx") == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "robot_01.csv: no current column" in said and "--column current=NAME" in said
