@@ -166,11 +166,11 @@ def _by_reference(group: Sequence[str], check: Sequence[str]) -> str:
     if not check:
         return ""
     faults = {name.rpartition("_")[2] for name in group if _channel_of(name)}
-    sensors = " and ".join(map(_said, check))
+    sensors = f"the sensor{'s' if len(check) > 1 else ''} of {' and '.join(map(_said, check))}"
     if faults == {"offset"} and "temperature" not in check:
-        look = f"look at what the sensors of {sensors} show at rest, with no voltage and nothing on the shaft: 0 is right"
+        look = f"read {sensors} at rest, with no voltage and nothing on the shaft: 0 is right"
     else:
-        look = f"hold a reference instrument against the sensors of {sensors}, at two values far apart"
+        look = f"hold a reference instrument against {sensors}, at two values far apart"
     return (
         f"; {look}; in the motor file, give those found right sd = 0 and a source that begins with 'measured'"
     )
