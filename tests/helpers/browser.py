@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from helpers.processes import LIMIT_S
 
 QUIET = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -13,7 +14,7 @@ QUIET = (
 )  # fmt: skip
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 # Nothing on a page takes longer than this, however busy the machine, but for a step of the workbench.
-PATIENCE_MS = 120_000
+PATIENCE_MS = 1000 * LIMIT_S
 
 
 def _reason() -> str:
@@ -34,7 +35,7 @@ def chromium() -> Iterator["object"]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(QUIET), timeout=PATIENCE_MS)
         try:
             yield browser
         finally:
