@@ -334,6 +334,7 @@ def _reckoned(model: Model, asked: NDArray[np.bool_], at: Array) -> Array:
     for row, k in np.argwhere(asked):
         logs, beside, on = [], at.copy(), at > 0
         on[row, k] = False
+        # One that is at none, for all that is told, is not beyond the parameter itself.
         grid = np.geomspace(1e-3, MOST if at[row, k] else 1.0, 13)
         for size in grid:
             beside[row, k] = size
