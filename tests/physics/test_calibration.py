@@ -328,3 +328,24 @@ def test_what_cannot_be_calibrated_is_refused() -> None:
         calibrate(file, [only_voltage], ["R_a0"])
     with pytest.raises(DataError, match="5 samples are too few"):
         calibrate(file, [recording.part(slice(0, 5))], ["R_a0"])
+
+
+def test_what_a_brief_recording_finds_is_believed_as_far_as_the_make_says():
+    """It tells ke well; motors of the make differ by 2 %, and recordings as brief lead 4 % away: a fifth is believed."""
+    motor, away = Motor(), 0.04
+    brief = record(
+        replace(motor, ke=1.05 * motor.ke), np.random.default_rng(5), dt=2e-3, samples=400, hold=100
+    )
+    make = MotorFile("make", motor, PLATE)
+    plain = replace(make, knowledge={"ke": Knowledge(np.hypot(0.02, away) * motor.ke, "population")})
+    known = {"ke": Knowledge(0.02 * motor.ke, "population", away * motor.ke)}
+    found, whole = (calibrate(file, [brief]) for file in (replace(make, knowledge=known, brief_s=1.0), plain))
+    assert whole.file.motor.ke == pytest.approx(1.05 * motor.ke, rel=0.01)
+    share = 0.02**2 / (0.02**2 + away**2)
+    assert found.file.motor.ke - motor.ke == pytest.approx(share * (whole.file.motor.ke - motor.ke), rel=1e-3)
+    # As uncertain as one of its make is whose recording led so far away, and no longer said to be led away.
+    told = found.file.knowledge["ke"]
+    assert told.sd == found.sd["ke"] == pytest.approx(0.02 * motor.ke * np.sqrt(1 - share), rel=0.02)
+    assert told.brief_sd == 0.0
+    # Of what the make says nothing, the recording is believed.
+    assert found.file.motor.R_a0 == pytest.approx(whole.file.motor.R_a0, rel=1e-3)
