@@ -187,12 +187,13 @@ class Noise:
                 drifts[run.channels.index(name), int(position >= len(self.disturbances))] = position
         of_input = [INPUTS.index(name) if name in INPUTS else -1 for name in lasting]
         hold = run.inputs.hold
+        # A torque that nobody measured has no reason to hold: it runs from one sample to the next.
         return StateSpace(
             linear.matrices,
             np.array([linear.states.index(STATE_OF[channel]) for channel in run.channels]),
             np.concatenate([BALANCES, np.array(of_input, dtype=np.int64)]),
             drifts,
-            np.array([hold[0], hold[1], True, *(which < 0 or hold[which] for which in of_input)]),
+            np.array([hold[0], hold[1], False, *(which < 0 or hold[which] for which in of_input)]),
             np.column_stack(
                 [
                     share_that_remains(run.inputs.time_s, self.lasts_s),
