@@ -120,12 +120,14 @@ def seen_named(here: Standing) -> dict[str, Score]:
 def _holds(found: Finding, one: Accepted) -> bool:
     """Whether the interval of its size is away from null; its other parameters, which mean nothing there, are not varied.
 
-    Of an effect that is told only as a product of two parameters, neither has a deviation that says so.
+    Of an effect that is told only as a product of two parameters, neither has a deviation that says so; where there is only
+    one, it does.
     """
     last = found.outcome.last
     seen = own_score(last.plain, last.fitted, one.hypothesis)
     told = seen.gain / (seen.scatter + one.doubt) if seen else 0.0
-    return max(told, one.agreed) > INTERVAL**2
+    only_size = len(_parameters(found, one)) == 1
+    return max(told, one.agreed) > INTERVAL**2 and (not only_size or _told_alone(found, one))
 
 
 def detectable(found: Finding, score: Score) -> float:
@@ -142,9 +144,16 @@ def _told_alone(found: Finding, one: Accepted) -> bool:
 
 
 def _only_together(found: Finding, one: Accepted) -> str:
-    name, keys = one.hypothesis.name, found.outcome.last.fitted.prior.keys
-    own = ", ".join(key.rpartition(".")[2] for key in keys if key.startswith(f"{name}."))
-    return f"{name} is there beyond chance, but its parameters ({own}) are told only together: each may be near nothing."
+    own = ", ".join(key.rpartition(".")[2] for key in _parameters(found, one))
+    return (
+        f"{one.hypothesis.name} is there beyond chance, but its parameters ({own}) are told only together: each may be near "
+        "nothing."
+    )
+
+
+def _parameters(found: Finding, one: Accepted) -> list[str]:
+    """The free parameters of an accepted hypothesis."""
+    return [key for key in found.outcome.last.fitted.prior.keys if key.startswith(f"{one.hypothesis.name}.")]
 
 
 def _refused(found: Finding, name: str) -> str:

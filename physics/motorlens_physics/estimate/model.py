@@ -233,11 +233,18 @@ def error_of(model: Model, run: Run, r: int, difference: Array, linear: Linearis
     """(N, C) the error beside the inputs as they were recorded, from that beside the corrected ones, linearised."""
     if run.corrections is None:
         return difference
+    return difference + response_to_inputs(model, run, r, linear, *run.corrections.T)
+
+
+def response_to_inputs(
+    model: Model, run: Run, r: int, linear: Linearisation, voltage_V: Array, load_torque_Nm: Array
+) -> Array:
+    """(N, C) what the channels show more if the sensors of the inputs show so much more (N,), linearised."""
     voltage, load = run.inputs.voltage_V, run.inputs.load_torque_Nm
-    corrected = _acted(model, run, voltage + run.corrections[:, 0], load + run.corrections[:, 1])
-    added = np.column_stack(corrected) - np.column_stack(_acted(model, run, voltage, load))
+    acted = _acted(model, run, voltage + voltage_V, load + load_torque_Nm)
+    added = np.column_stack(acted) - np.column_stack(_acted(model, run, voltage, load))
     moved = linear.respond(voltage_V=added[:, :1], torque_Nm=-added[:, 1:], held=model.held[r])
-    return difference + through_sensors(model, run, _stack_states(run, moved))[:, :, 0]
+    return through_sensors(model, run, _stack_states(run, moved))[:, :, 0]
 
 
 def as_shown(model: Model, run: Run, voltage_V: Array, load_torque_Nm: Array) -> tuple[Array, Array]:

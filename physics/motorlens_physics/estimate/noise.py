@@ -87,6 +87,7 @@ class Noise:
         most: the largest that each can be: a measured input is no noisier than it looks.
         lasts_s: how long each lasts; 0 is white.
         floor: (C,) smallest variance that is believed: the converter's, or the integration's.
+        least: the smallest that each disturbance can be: an input is as noisy as the errors that follow its roughness say.
     """
 
     channels: Array
@@ -94,15 +95,22 @@ class Noise:
     most: Array
     lasts_s: Array
     floor: Array
+    least: Array
 
     def within(self, channels: Array, disturbances: Array) -> "Noise":
         """With other variances (C,) and (3,), as far as they are believed."""
-        least = SMALLEST * self.most
+        least = np.minimum(np.maximum(SMALLEST * self.most, self.least), self.most)
         return replace(
             self,
             channels=np.maximum(channels, self.floor),
             disturbances=np.clip(disturbances, least, self.most),
         )
+
+    def followed(self, shares: Array) -> "Noise":
+        """With inputs of whose seeming noise these shares (2,) of the variance at least are noise."""
+        least = np.zeros_like(self.least)
+        least[:TORQUE] = shares * self.most[:TORQUE] / MOST_OF_LOOKS
+        return replace(self, least=least).within(self.channels, self.disturbances)
 
     def like(self, other: "Noise") -> "Noise":
         """As another found it in a piece of the same recording."""
@@ -111,6 +119,7 @@ class Noise:
             disturbances=np.append(self.disturbances, other.disturbances[COLOURED]),
             most=np.append(self.most, other.most[COLOURED]),
             lasts_s=other.lasts_s,
+            least=other.least,
         )
         return alike.within(other.channels, other.disturbances)
 
@@ -144,6 +153,7 @@ class Noise:
             disturbances=np.append(self.disturbances, looks),
             most=np.append(self.most, MOST_OF_LOOKS * np.array(looks)),
             lasts_s=np.append(self.lasts_s, np.full(len(looks), samples * run.period_s)),
+            least=np.append(self.least, np.zeros(len(looks))),
         )
 
     def of_input(self, run: Run, seen: Array, which: int) -> Array:
@@ -227,6 +237,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
         most,
         np.array([0.0, 0.0, LASTS[1] * run.period_s]),
         floor,
+        np.zeros(len(most)),
     )
 
 

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
 from motorlens_physics.estimate.innovations import StateSpace, Sums, disturbances, innovations, sums
+from motorlens_physics.estimate.input_noise import share_that_is_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import (
     LOAD,
@@ -114,6 +115,14 @@ class Errors:
     def squares(self) -> float:
         """Of white errors alone."""
         return float(np.sum(innovations(self.space, self.error[:, :, None]).white ** 2))
+
+    def with_rough_inputs(self) -> "Errors":
+        """With inputs as noisy at least as the errors that follow their roughness say."""
+        frame = self.frame
+        shares = share_that_is_noise(
+            frame.model, self.run, frame.r, frame.linear, self.error, self.columns, self.used
+        )
+        return replace(self, noise=self.noise.followed(shares))
 
     def with_duration(self) -> "Errors":
         """With an unmeasured torque that lasts as long as is likeliest."""
@@ -268,6 +277,7 @@ def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers
     """The same point under the noise that its errors show."""
 
     def one(part: Errors) -> Errors:
+        part = part.with_rough_inputs()
         if lasting_too:
             part = part.with_duration()
         return part.with_noise(updates, outliers=outliers)

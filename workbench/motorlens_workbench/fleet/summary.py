@@ -177,7 +177,7 @@ def where_it_ended(
         np.array(told[name]) for name in ("channels", "disturbances", "lasts_s")
     )
     # Its limits are those of the recording, see `Noise.like`.
-    noise = Noise(channels, disturbances, disturbances, lasts_s, channels)
+    noise = Noise(channels, disturbances, disturbances, lasts_s, channels, np.zeros_like(disturbances))
     # What had gone where nothing is any more begins at the nearest.
     values = {
         key: float(np.clip(value, *prior.bounds[key]))

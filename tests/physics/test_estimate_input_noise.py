@@ -1,0 +1,73 @@
+"""What is rough of a measured input is its sensor's noise, or was at the motor: the errors follow the one, not the other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import plain_motor
+from helpers.plain_motor import RATED, TYPICAL
+
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.input_noise import share_that_is_noise
+from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.weighed import first_point
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
+from motorlens_physics.recording import Recording
+
+PLATE = Rated(
+    voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
+    torque_Nm=RATED["load_torque"], rise_K=RATED["temperature"],
+)  # fmt: skip
+SAMPLES, ROUGH = 4000, {"voltage": 0.5, "load_torque": 0.05}
+SENSORS = {"current": 0.02, "speed": 0.1}
+
+
+def shares(period_s: float, of_sensor: float, seed: int, *, samples: int = SAMPLES) -> np.ndarray:
+    """What is found of inputs of whose roughness this share of the variance is noise of their sensors."""
+    rng = np.random.default_rng(seed)
+    corners = np.linspace(0, samples, 12)
+    smooth = {
+        name: np.interp(np.arange(samples), corners, 0.3 * RATED[name] * rng.uniform(-1, 1, 12))
+        for name in ROUGH
+    }
+    applied, seen = {}, {}
+    for name, sd in ROUGH.items():
+        true, wrong = sd * rng.standard_normal((2, samples))
+        applied[name] = smooth[name] + np.sqrt(1 - of_sensor) * true
+        seen[name] = applied[name] + np.sqrt(of_sensor) * wrong
+    test = plain_motor.Test(period_s, samples, 1, False, 0.0)
+    states = plain_motor.simulated(TYPICAL, applied["voltage"], applied["load_torque"], test)
+    for k, (name, sd) in enumerate(SENSORS.items()):
+        seen[name] = states[:, k] + sd * rng.standard_normal(samples)
+    motor = replace(
+        Motor(),
+        **{key: TYPICAL[key] for key in ("R_a0", "L", "ke", "J", "b", "alpha", "k0", "kT", "k_ir", "H")},
+    )
+    file = MotorFile("plate", motor, PLATE)
+    runs = prepare_all([Recording("rough.csv", period_s * np.arange(samples), seen)], file)
+    (part,) = first_point(start_model(file, runs), runs).parts
+    return share_that_is_noise(
+        part.frame.model, part.run, 0, part.linear, part.error, part.columns, part.used
+    )
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("of_sensor", [0.0, 0.5, 1.0])
+def test_the_share_of_a_roughness_that_is_noise_is_found(of_sensor: float) -> None:
+    np.testing.assert_allclose(
+        np.mean([shares(1.0, of_sensor, seed) for seed in range(3)], axis=0), of_sensor, atol=0.1
+    )
+
+
+@pytest.mark.parametrize("of_sensor", [0.0, 0.5, 1.0])
+def test_it_is_found_where_the_motor_is_slower_than_the_samples(of_sensor: float) -> None:
+    voltage, _ = np.mean([shares(1e-3, of_sensor, seed) for seed in range(3)], axis=0)
+    assert voltage == pytest.approx(of_sensor, abs=0.15)
+
+
+def test_no_more_is_noise_than_the_errors_tell() -> None:
+    # In a tenth of a second the inertia hides what a load does from one sample to the next.
+    _, load = shares(1e-3, 1.0, 0, samples=100)
+    assert load < 0.1
