@@ -116,13 +116,13 @@ class Errors:
         """Of white errors alone."""
         return float(np.sum(innovations(self.space, self.error[:, :, None]).white ** 2))
 
-    def with_rough_inputs(self) -> "Errors":
-        """With inputs as noisy at least as the errors that follow their roughness say."""
-        frame = self.frame
+    def with_rough_inputs(self, recorded: "Errors") -> "Errors":
+        """With inputs as noisy at least as errors say that follow their roughness, seen along the inputs as `recorded`."""
+        frame = recorded.frame
         shares = share_that_is_noise(
-            frame.model, self.run, frame.r, frame.linear, self.error, self.columns, self.used
+            frame.model, recorded.run, frame.r, frame.linear, recorded.error, recorded.columns, self.used
         )
-        return replace(self, noise=self.noise.followed(shares))
+        return self if not shares.any() else replace(self, noise=self.noise.followed(shares))
 
     def with_duration(self) -> "Errors":
         """With an unmeasured torque that lasts as long as is likeliest."""
@@ -277,7 +277,6 @@ def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers
     """The same point under the noise that its errors show."""
 
     def one(part: Errors) -> Errors:
-        part = part.with_rough_inputs()
         if lasting_too:
             part = part.with_duration()
         return part.with_noise(updates, outliers=outliers)
@@ -285,9 +284,29 @@ def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers
     return replace(point, parts=tuple(on_all_cores(one, point.parts)))
 
 
+def with_rough_inputs(point: Weighed, prior: Prior) -> Weighed:
+    """A point near the best parameters with inputs as noisy as the errors say that follow them; itself if none is."""
+    # Sensitivities along corrected inputs do not hold what a parameter does to their roughness.
+    recorded = weighed(
+        point.model,
+        [replace(part.run, corrections=None) for part in point.parts],
+        [part.noise for part in point.parts],
+        [part.used for part in point.parts],
+        prior.keys,
+    )
+    parts = tuple(
+        part.with_rough_inputs(other) for part, other in zip(point.parts, recorded.parts, strict=True)
+    )
+    return _with_parts(point, parts)
+
+
 def with_colour(point: Weighed) -> Weighed:
     """A point near the best parameters with coloured noise in each run where that is likelier; itself if in none."""
-    parts = tuple(on_all_cores(Errors.with_colour, point.parts))
+    return _with_parts(point, tuple(on_all_cores(Errors.with_colour, point.parts)))
+
+
+def _with_parts(point: Weighed, parts: tuple[Errors, ...]) -> Weighed:
+    """The point with other noise; itself if it is the same."""
     if all(one is part for one, part in zip(parts, point.parts, strict=True)):
         return point
     return noisier(replace(point, parts=parts), 0)
