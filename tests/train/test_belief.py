@@ -27,7 +27,7 @@ def doubted(inertia=(0.0, 0.0), inductance=(0.0, 0.0), drop=(0.0, 0.0), theta=20
     x = [200.0, values["theta"], 0.0]
     nothing = values["nothing"]
     known["hold"] = (states, nothing, nothing)
-    against, grown = belief.doubt(
+    against, grown, _ = belief.doubt(
         LAYOUT, known, dict.fromkeys(PAIRS, nothing), nothing, values, [r.constant(200.0), x[1], r.constant(0.0)],
         r.constant(3.5),
     )  # fmt: skip

@@ -27,7 +27,7 @@ def watching():
     return observer(MELLAH, SETTINGS)
 
 
-def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0, reach=0.0):
+def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0, reach=0.0, own_sd=0.0):
     """Temperature and its deviation, of the filter's `theta` +- `sd` and a winding that began cold and is now at `rise`."""
     r = Recorder()
     theta_now, variance, track = r.inputs(["theta", "variance", "track"])
@@ -37,7 +37,8 @@ def mixed(theta, sd, rise=0.0, left=1.0, other_sd=0.0, ran=0.0, reach=0.0):
         theta_now,
         variance,
         0.0,
-        other_sd**2,
+        other_sd**2 + own_sd**2,
+        own_sd**2,
         reach,
     )
     moves, stated = (float(v) for v in r.program([start.moves, start.thermometer])(theta, sd**2, 0.01, ran))
@@ -141,3 +142,8 @@ def test_who_is_warm_has_a_thermometer_as_good_as_its_resistance_and_who_is_cold
     temperature, sd = mixed(40.0, 2.0, reach=14.0)
     assert temperature == pytest.approx(40.0) and sd == pytest.approx(2.0 + 14.0, rel=1e-6)
     assert mixed(0.1, 0.1, reach=14.0) == mixed(0.1, 0.1)
+
+
+def test_a_resistance_that_may_be_another_s_is_reckoned_with_once():
+    assert mixed(40.0, 2.0, own_sd=12.0)[1] == pytest.approx(np.hypot(2.0, 12.0), rel=1e-6)
+    assert mixed(40.0, 2.0, own_sd=12.0, reach=14.0)[1] == pytest.approx(2.0 + 14.0, rel=1e-6)

@@ -31,8 +31,8 @@ _FUNCTIONS = {
 }
 # A window is full a millionth before its period, for grids that miss it by rounding.
 _FULL = 1 - 1e-6
-# A rest is taken in steps of so many windows, and of a longer rest than this only so much.
-_REST_WINDOWS = 40
+# A rest is taken in steps of so many windows, and of a longer rest than this only so much. So many are a gap to an observer.
+_REST_WINDOWS, _GAP_WINDOWS = 40, 60
 _FORGOTTEN_S = 4 * 3600.0
 
 
@@ -71,13 +71,16 @@ class Observer:
 
     def rest(self, state: State, off_s: float, ambient_C: float | None) -> State:
         """The state after `off_s` seconds without voltage and current, which are known, so that the winding cools; a gap in
-        the samples is something else. In steps that the linearised model can take, and four hours of it at most. Zeros that
-        nobody measured tell nothing of the noise."""
-        piece = _REST_WINDOWS * self.full_s
-        count = math.ceil(min(off_s, _FORGOTTEN_S) / piece)
+        the samples is something else, but for the first moment: while it still turns, an open motor has a voltage that
+        nobody knows. In steps that the linearised model can take, and four hours of it at most. Zeros that nobody measured
+        tell nothing of the noise."""
+        off_s = min(off_s, _FORGOTTEN_S)
+        first_s, piece = min(off_s, _GAP_WINDOWS * self.full_s), _REST_WINDOWS * self.full_s
+        count = math.ceil((off_s - first_s) / piece) + 1
         zeros, used = np.zeros(count), np.ones(count, dtype=bool)
         ambient = None if ambient_C is None else np.full(count, ambient_C)
-        dt_s = np.full(count, min(off_s, _FORGOTTEN_S) / max(count, 1))
+        dt_s = np.full(count, (off_s - first_s) / max(count - 1, 1))
+        dt_s[0] = first_s
         rested, _ = self.advance(state, zeros, zeros, ambient, dt_s, used, np.zeros(0, dtype=np.intp))
         return tuple(
             before if entry in self.noise else after

@@ -137,8 +137,9 @@ def unmasked(shown: Shown, common: Mapping[str, Any], hold: Any, information: An
 def doubt(
     layout: Layout, known: Mapping[str, Any], common: Mapping[str, Any], hold: Any, memory: Mapping[str, Any],
     x: Sequence[Any], resistance: Any,
-) -> tuple[Any, dict[str, Any]]:  # fmt: skip
-    """Logarithm of the odds against the file's motor, and by how much the variances of states (by name) grow.
+) -> tuple[Any, dict[str, Any], Any]:  # fmt: skip
+    """Logarithm of the odds against the file's motor, by how much the variances of states (by name) grow, and what of the
+    temperature's is R_a0's alone.
 
     Args:
         layout: the observer's.
@@ -172,7 +173,8 @@ def doubt(
     grown = {}
     # Another motor is off by as much as its tolerance, and by what its J and L have done to the states.
     for state, size in ((w, x[w]), (theta, x[theta] + 1 / layout.motor.alpha)):
-        total = (share * size * TOLERANCE) * (share * size * TOLERANCE) + moved[state] * moved[state] * offset
+        own = (share * size * TOLERANCE) * (share * size * TOLERANCE)
+        total = own + moved[state] * moved[state] * offset
         total = total + share * share * motor.remaining(spread, (V[state], W[state]))
         total = total + V[state] * V[state] * slack[0] + W[state] * W[state] * slack[1]
         grown[layout.states[state]] = total
@@ -183,7 +185,7 @@ def doubt(
         name = layout.states[state]
         grown[name] = grown[name] + gone * moves * (gone * moves)
     hot = (x[theta] - WARMEST).max(-COLDEST - x[theta])
-    return (0.0 <= hot).select(MOST, either.log()), grown
+    return (0.0 <= hot).select(MOST, either.log()), grown, own
 
 
 def exponent(logarithm: Any) -> Any:

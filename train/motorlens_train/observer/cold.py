@@ -105,7 +105,7 @@ class Start:
 
 
 def weighed(
-    layout: Layout, track: Track, theta: Any, variance: Any, unknown: Any, other: Any, reach: Any
+    layout: Layout, track: Track, theta: Any, variance: Any, unknown: Any, other: Any, own: Any, reach: Any
 ) -> Start:  # fmt: skip
     """The two hypotheses mixed.
 
@@ -116,8 +116,9 @@ def weighed(
         unknown: what of that variance no measurement reduces, K^2.
         other: what the variance is more because the motor may be another, K^2. Which start it was is judged by the file's
             motor: of another, the temperature says nothing.
+        own: what of `other` is there because R_a0 may be another, K^2.
         reach: of a temperature that is read off the resistance, where R_a0 alone is not the file's: a deviation, K, whose
-            95 % interval holds as much of its even spread.
+            95 % interval holds as much of its even spread. Takes the place of `own`.
     """
     place = layout.at["theta"]
     apart = track.rises[0] - theta
@@ -138,5 +139,6 @@ def weighed(
     # Of a resistance that is not the file's nothing tells but a cold start that shows the file's: until any other start is
     # twenty times less likely than before, the interval holds it.
     left_out = ONE_IN_TWENTY[0] * COLD
-    most = widest.max((beyond + reach) * ((1.0 - (1.0 / warm) * left_out) * (1 / (1 - left_out))))
+    held = (variance + other - own).sqrt() + cold * distance
+    most = widest.max((held + reach) * ((1.0 - (1.0 / warm) * left_out) * (1 / (1 - left_out))))
     return Start(moves, widest * widest, most * most)

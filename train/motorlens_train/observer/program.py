@@ -343,7 +343,7 @@ def _power(base: Any, exponent: Any, visit: Callable[[Any], Any], recorder: Reco
         for _ in range(abs(int(exponent)) - 1):
             result = recorder.apply("mul", result, base)
         return result if exponent > 0 else recorder.apply("div", 1.0, result)
-    if abs(exponent) == 0.5:
+    if exponent.is_number and float(abs(exponent)) == 0.5:  # a Rational equals no float
         root = recorder.apply("sqrt", base)
         return root if exponent > 0 else recorder.apply("div", 1.0, root)
     return recorder.apply("pow", base, visit(exponent))

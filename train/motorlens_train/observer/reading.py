@@ -44,7 +44,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     behind = (mean - memory["slope"]) * (layout.per_kelvin(x) / layout.motor.ke)
     variances["speed"] = variances["speed"] + behind * behind * P[theta][theta]
     variances["speed"] = variances["speed"] + memory["unseen"] * (9.0 / layout.motor.ke**2)
-    against, grown = doubt(layout, known, common, window["hold"], memory, x, outputs["resistance"])
+    against, grown, own = doubt(layout, known, common, window["hold"], memory, x, outputs["resistance"])
     ohms = layout.per_kelvin(x)
     for name, growth in (
         ("speed", grown["w"]), ("temperature", grown["theta"]), ("resistance", ohms * ohms * grown["theta"])
@@ -60,7 +60,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     read_off = 1.0 - P[theta][theta] * (1 / layout.sd[theta] ** 2)
     reach = (x[theta] + 1 / layout.motor.alpha) * read_off * (open_resistance(layout) * CERTAIN)
     start = weighed(
-        layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"], reach
+        layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"], own, reach
     )
     along = {"speed": P[w][theta], "temperature": filtered, "resistance": ohms * P[theta][theta]}
     for name, covariance in along.items():

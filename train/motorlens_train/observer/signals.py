@@ -52,7 +52,8 @@ class Signals:
         level: variance of white noise, in terms of the settings'.
         colour: factor by which it weighs more, being coloured.
         share: sum of squared steps over the squared length: 1 / samples.
-        slope: mean of the current, A; `weighing` is what of it is beyond its noise and weighs an innovation.
+        slope: mean of the current, A; `weighing` is what of it is beyond its noise and weighs an innovation, `instrument`
+            what was so before this window, whose noise is another's, and a change since that no noise can be.
         side: the side to which the current drives the rotor, -1 or 1, and less where noise hides it.
         free: share of the current's change that the voltage drives.
         turned: change of the slope that the load made, over ke; see `correction`.
@@ -67,6 +68,7 @@ class Signals:
     share: Any
     slope: Any
     weighing: Any
+    instrument: Any
     side: Any
     free: Any
     turned: Any
@@ -94,13 +96,18 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     # A current that may be noise says nothing about the resistance.
     noise = spread.sqrt()
     weighing, weighed = (beyond(y, noise * 3.0) for y in (slope, memory["slope"]))
+    # All of the noise that is found may be the current's.
+    most = spread * (1.0 + (layout.v_sd / (m.R_a0 * layout.i_sd)) ** 2)
+    instrument = weighed + above(weighing - weighed, most)
     lean = gap.select(0.0, window["sum_lean"] / T)
     coarse, kept = _coarse(layout, window, memory, level)
     kept |= {"drive": memory["drive"] + moved, "driven": driven, "slope": slope}
     colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
     turned = (1.0 - free) * (weighing - weighed) * (1 / m.ke)
     side = (weighing * (1 / (SATURATED * layout.rated.current_A))).max(-1.0).min(1.0)
-    return Signals(level, colour, share, slope, weighing, side, free, turned, lean, noise, coarse, kept)
+    return Signals(
+        level, colour, share, slope, weighing, instrument, side, free, turned, lean, noise, coarse, kept
+    )
 
 
 def noise_memory(memory: Mapping[str, Value], error: Any, told: Any, believed: Any) -> dict[str, Any]:
