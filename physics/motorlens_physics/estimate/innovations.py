@@ -25,6 +25,9 @@ from motorlens_physics.estimate.run import STATE_OF
 
 Array = NDArray[np.float64]
 
+# Disturbances of which the compiler is told the number: with more, loops that are not unrolled are as fast
+# (`benchmarks/diagnosis.py`), and a machine compiles once for all of them.
+FEW = 5
 # Sums in any order; what is infinite stays so.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
@@ -112,7 +115,7 @@ def spread(space: StateSpace) -> Array:
     """(C,) mean variance that the disturbances bring about in what the channels show, beside the sensors' white noise."""
     power = np.zeros(len(space.shows))
     _spread(
-        _each(space), space.matrices, space.shows, space.drifts, tuple(space.balances.tolist()), space.holds,
+        _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
         space.keeps, space.variance, np.diag(np.concatenate([space.start, space.variance])), power,
     )  # fmt: skip
     return power
@@ -122,6 +125,11 @@ def _each(space: StateSpace) -> tuple[float, ...] | Array:
     """As long as there are states: a tuple, whose length the compiler knows, for the textbook's; else one code for all."""
     n = space.matrices.shape[1]
     return (0.0,) * n if n == len(STATE_OF) else np.zeros(n)
+
+
+def _balances(space: StateSpace) -> tuple[int, ...] | NDArray[np.int64]:
+    """The balances: a tuple, likewise, of as many disturbances as there mostly are; else one code for all."""
+    return tuple(space.balances.tolist()) if len(space.balances) <= FEW else space.balances
 
 
 class _Filter:
@@ -139,7 +147,7 @@ class _Filter:
         white, scale = np.empty(columns.shape), np.empty((samples, channels))
         gain = np.zeros((samples, channels, len(self._states)))
         _filter(
-            self._each, space.matrices, space.shows, space.drifts, tuple(space.balances.tolist()), space.holds,
+            self._each, space.matrices, space.shows, space.drifts, _balances(space), space.holds,
             space.keeps, space.variance, space.noise, first,
             self._covariance, self._states, np.ascontiguousarray(columns), white, scale,
             gain,
@@ -161,7 +169,7 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
         np.zeros((len(space.noise), count)), np.zeros((2, count)), np.zeros((2, channels))
     )  # fmt: skip
     _smooth(
-        _each(space), space.matrices, space.shows, space.drifts, tuple(space.balances.tolist()), space.holds,
+        _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
         space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
