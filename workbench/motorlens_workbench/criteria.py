@@ -11,8 +11,8 @@ class Criteria:
     model is. `python benchmarks/null.py --count 60 --seed 1` prints how large the largest of them get: all 60 worlds are
     adequate, with a name 0.67 of what is needed, and one free term 1.8 times, with 10 bit, which does not last. Of the
     first 93 of `--count 120 --seed 5`, which nothing was chosen by, two are not adequate: coloured noise in a closed loop,
-    and 10 bit near standstill. Flips of signs alone would put `excess` near 5: misfit that is no missing physics has the same
-    sign in every block.
+    and 10 bit near standstill. Flips of signs alone would put `excess` near 5: misfit that is no missing physics has the
+    same sign in every block.
 
     Attributes:
         excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode; twice as far
