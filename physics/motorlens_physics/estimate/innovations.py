@@ -25,8 +25,8 @@ from motorlens_physics.estimate.run import STATE_OF
 
 Array = NDArray[np.float64]
 
-# Disturbances of which the compiler is told the number. With three, unrolled loops are a third faster, with eight they are
-# not; and a machine compiles once for all that have more.
+# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. With more, a machine compiles
+# once for all.
 FEW = 5
 # Sums in any order; what is infinite stays so.
 FAST = {"contract", "reassoc", "nsz", "arcp"}

@@ -4,7 +4,7 @@ A rough voltage may be rough at the motor too (a dither, a ripple), or in its se
 drives the simulation and did not drive the motor, so that the errors hold minus the motor's response to it. How large the
 errors are tells of that only where they are larger than what the channels' own noise might be; that they follow what is
 seen of the input tells of it always: the share of the input's roughness that is noise is the coefficient of that response
-in them.
+in them (errors in variables, see `estimate`; scatter between blocks of time as of White 1980, doi:10.2307/1912934).
 """
 
 import numpy as np
