@@ -71,6 +71,11 @@ class Motor:
     H: float = param(18e3, "J/K", "heat capacity", bounds=(1e-4, 1e8), prior=500.0, of="power/rise")
     effects: tuple[Effect, ...] = ()
 
+    @property
+    def response_s(self) -> float:
+        """How long the shaft takes to follow a voltage or a torque, driven by a voltage: the mechanical time constant."""
+        return self.J * self.R_a0 / self.ke**2
+
     def resistance(self, theta: Any) -> Any:
         """Armature resistance at a winding rise theta (K), in ohm."""
         return self.R_a0 * (1 + self.alpha * theta)

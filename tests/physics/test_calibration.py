@@ -155,7 +155,7 @@ def test_a_prior_counts_as_much_as_it_says() -> None:
         # The others are known to a factor of e^0.5, which says a little of s too.
         told = 1 / np.sqrt((3.5 / sd) ** 2 + 3 / 0.5**2)
         assert found.sd["R_a0"] == pytest.approx(3.5 * told, rel=0.1)
-    assert any("R_a0 and J" in sentence for sentence in found.confounded)
+    assert any("R_a0, L and J:" in sentence for sentence in found.confounded)
 
 
 def test_an_unmeasured_load_is_fitted_when_asked_for() -> None:

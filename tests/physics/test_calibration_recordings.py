@@ -83,28 +83,49 @@ def lab_motor(run: str) -> Recording:
     )
     return replace(
         recording,
-        time_s=recording.time_s[::8],
-        channels={q: recording.channels[q][::8] for q in ("voltage", "speed")},
+        time_s=recording.time_s[::4],
+        channels={q: recording.channels[q][::4] for q in ("voltage", "speed")},
     )
 
 
-@pytest.mark.fit
-def test_voltage_and_speed_alone_tell_ke_and_not_the_resistance() -> None:
-    # Measured by their owners: R 3.40 ohm, L 2.853 mH; fitted with R given: ke 0.048, J 9.9e-6.
-    motor = Motor(
+# Measured by their owners: R 3.40 ohm, L 2.853 mH; fitted with R given: ke 0.048, J 9.9e-6.
+LAB = MotorFile(
+    "fra233",
+    Motor(
         R_a0=3.0, L=2.853e-3, ke=0.04, J=2e-5, b=1e-5, k0=0.1, kT=0.0, k_ir=0.0, H=50.0,
         effects=(CoulombFriction(tau_c=5e-3, w_s=0.5),),
-    )  # fmt: skip
-    file = MotorFile("fra233", motor, Rated(voltage_V=12.0, current_A=1.0, speed_rad_s=240.0, torque_Nm=0.04))
+    ),
+    Rated(voltage_V=12.0, current_A=1.0, speed_rad_s=240.0, torque_Nm=0.04),
+)  # fmt: skip
+LAB_KEYS = ["R_a0", "L", "ke", "J", "coulomb_friction.tau_c"]
+
+
+def test_voltage_and_speed_alone_tell_ke_and_not_the_resistance() -> None:
+    # How each ran between its samples is found. Of every eighth, its delay is half a sample: it passes for inductance.
     runs = [lab_motor("Chirp"), lab_motor("Stair")]
-    given = replace(file, motor=replace(motor, R_a0=3.40))
-    found = calibrate(given, runs, ["ke", "J", "coulomb_friction.tau_c"], held=True)
+    given = replace(LAB, motor=replace(LAB.motor, R_a0=3.40))
+    found = calibrate(given, runs, ["ke", "J", "coulomb_friction.tau_c"])
     assert found.value["ke"] == pytest.approx(0.048, rel=0.06)
     assert found.value["J"] == pytest.approx(9.9e-6, rel=0.2)
 
-    keys = ["R_a0", "L", "ke", "J", "coulomb_friction.tau_c"]
-    found = calibrate(file, runs, keys, held=True)
+    found = calibrate(LAB, runs, LAB_KEYS)
+    assert found.converged
     assert found.value["ke"] == pytest.approx(0.048, rel=0.06)
     # Of resistance and inertia the product is known, and each by itself hardly.
     assert abs(found.value["R_a0"] - 3.40) < 2 * found.sd["R_a0"]
     assert found.sd["R_a0"] > 0.3
+    assert abs(found.value["L"] - 2.853e-3) < 2 * found.sd["L"]
+
+
+def test_a_delay_that_shows_in_few_flanks_is_found_and_does_not_pass_for_inductance() -> None:
+    # Half of the stair is rest, and the liveliest piece of the chirp says little of the stair's delay of five samples.
+    runs = [read_recording(FOLDER / "fra233" / f"V2_{run}.csv.gz") for run in ("Chirp_1", "Stair_2")]
+    rough = replace(LAB, motor=replace(LAB.motor, L=4e-3, ke=0.048, J=1.5e-5, b=5e-5))
+    found = calibrate(rough, runs, LAB_KEYS)
+    assert found.converged
+    late = {delay.recording.split("_")[1]: delay.value_s for delay in found.delays}
+    assert late["Stair"] == pytest.approx(0.0025, abs=5e-4)
+    for key, owners, sd in (("R_a0", 3.40, 0.05), ("L", 2.85e-3, 1e-4)):
+        assert abs(found.value[key] - owners) < 2 * np.hypot(found.sd[key], sd)
+    # Stuck on the way, it left 9.7 and 7.3 rad/s.
+    assert max(float(np.sqrt(np.mean(one["speed"] ** 2))) for one in found.residuals) < 5.0

@@ -77,6 +77,17 @@ def test_a_trial_is_weighed_as_the_point_it_is_compared_with() -> None:
     assert at(model, tempered, prior).cost == pytest.approx(tempered.cost, rel=1e-9)
 
 
+def test_a_step_that_nothing_follows_makes_no_piece_lively() -> None:
+    # From rest to rest: the change alone is in a piece that ends with it, and the answer to it in none of its samples.
+    time = np.arange(4000) * 1e-3
+    volts = np.where(time < 2.0, 0.0, 100.0)
+    run = prepare_all(
+        [Recording("step", time, {"voltage": volts, "speed": np.where(time < 2.0, 0.0, 1.0)})], FILE
+    )[0]
+    piece = run.liveliest(1000, FILE.motor)
+    assert piece.start < 2000 < piece.stop - FILE.motor.response_s / 1e-3
+
+
 def test_a_piece_is_the_liveliest_part_and_starts_where_its_samples_say() -> None:
     rows = 1000
     time, still = np.arange(rows) * 1e-3, np.full(rows, 100.0)
@@ -86,7 +97,7 @@ def test_a_piece_is_the_liveliest_part_and_starts_where_its_samples_say() -> Non
         "still", time, {"voltage": volts, "current": current, "speed": speed, "temperature": still}
     )
     run = prepare_all([recording], FILE)[0]
-    rows_of = run.liveliest(200)
+    rows_of = run.liveliest(200, FILE.motor)
     assert 600 <= rows_of.start <= 700 and rows_of.stop == rows_of.start + 200
     piece = run.part(rows_of, FILE)
     assert len(piece.measured) == 200 and piece.every == 1
@@ -127,6 +138,9 @@ class Line:
     @property
     def cost(self) -> float:
         return (3 - self.x) ** 2 + (1 - 2 * self.x) ** 2 + self.seen
+
+    def cost_in(self, other: "Line") -> float:
+        return self.cost
 
     def normal(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array([[5.0]]), np.array([(3 - self.x) + 2 * (1 - 2 * self.x)])

@@ -107,14 +107,20 @@ class Converter:
         return np.asarray(-self.step / np.pi * np.sin(2 * np.pi * (y - self.level) / self.step))
 
 
-def converter_of(y: Array) -> Converter:
-    """The converter of a channel, with the lean that the noise on it should leave."""
+def converter_of(y: Array, tells: NDArray[np.bool_] | None = None) -> Converter:
+    """The converter of a channel (N,), with the lean that the noise on it should leave.
+
+    Args:
+        y: (N,) as recorded.
+        tells: (N,) samples that tell its noise; a motor at rest may have none. None is all.
+    """
     step = quantisation_step(y)
     if not step:
         return Converter()
-    there = y[np.isfinite(y)]
-    level = float(np.angle(np.exp(2j * np.pi * there / step).mean()) / (2 * np.pi) * step)
-    return Converter(step, level, min(float(np.exp(-2 * (np.pi * noise_sd(there, step) / step) ** 2)), MOST))
+    there = np.isfinite(y)
+    level = float(np.angle(np.exp(2j * np.pi * y[there] / step).mean()) / (2 * np.pi) * step)
+    noise = noise_sd(y[there if tells is None else there & tells], step)
+    return Converter(step, level, min(float(np.exp(-2 * (np.pi * noise / step) ** 2)), MOST))
 
 
 def leaning(converter: Converter, truth: Array, error: Array) -> Converter:
@@ -149,7 +155,9 @@ class LastingError:
         return np.asarray((stays - 1) / (stays + 1))
 
 
-def converter_error(y: Array, step: float, lean: float = 0.0) -> tuple[float, LastingError | None]:
+def converter_error(
+    y: Array, step: float, lean: float = 0.0, tells: NDArray[np.bool_] | None = None
+) -> tuple[float, LastingError | None]:
     """What a converter adds to a channel: the variance of white noise, and what lasts; None if that does not matter.
 
     Noise makes the error another one at every sample. What it does not blur, and `Converter.bias` does not know, stays while
@@ -159,6 +167,7 @@ def converter_error(y: Array, step: float, lean: float = 0.0) -> tuple[float, La
         y: (N,) as recorded, without gaps.
         step: least significant bit; 0 if it has no converter.
         lean: what is known of its lean.
+        tells: (N,) samples that tell its noise; None is all.
 
     >>> held, noise = np.repeat(np.arange(40) * 7.3, 100), np.random.default_rng(0).standard_normal(4000)
     >>> white, lasts = converter_error(np.round(held + 0.1 * noise), 1.0)
@@ -171,7 +180,8 @@ def converter_error(y: Array, step: float, lean: float = 0.0) -> tuple[float, La
         return 0.0, None
     # Harmonics of the mean error between two levels: without noise, their squares add up to step^2 / 12.
     order = np.arange(1, HARMONICS + 1)
-    mean = np.exp(-2 * (np.pi * order * noise_sd(y, step) / step) ** 2)
+    noise = noise_sd(y if tells is None else y[tells], step)
+    mean = np.exp(-2 * (np.pi * order * noise / step) ** 2)
     mean[0] -= min(mean[0], lean)
     share = float(np.sum((mean / order) ** 2) / np.sum(1.0 / order**2))
     stays = _stays(smoothed(y, step), step)

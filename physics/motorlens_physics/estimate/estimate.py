@@ -23,7 +23,7 @@ from motorlens_physics.estimate.prior import Prior, base_prior
 from motorlens_physics.estimate.report import Findings, findings
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.shaft import followed
-from motorlens_physics.estimate.timing import Timing
+from motorlens_physics.estimate.timing import Timing, moved
 from motorlens_physics.estimate.weighed import (
     Array,
     Weighed,
@@ -236,7 +236,8 @@ def _with_more(
     found = tuple(as_found(run, piece) for run, piece in zip(runs, near.runs, strict=True))
     prior = prior_of(prior, begin, runs, few)
     point = from_noise(model, found, [part.noise for part in near.parts], prior)
-    return minimised(point, prior, progress, outliers=False, trusted=TRUSTED)[0]
+    # The flanks that tell when a channel was sampled may be few, and elsewhere.
+    return moved(minimised(point, prior, progress, outliers=False, trusted=TRUSTED)[0], prior, progress)
 
 
 def _concluded(end: Weighed, prior: Prior, gram: Array, left: float) -> Estimate:

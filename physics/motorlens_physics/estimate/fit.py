@@ -7,7 +7,7 @@ noise of the recording as a state-space model (`weighed`), or, to come near, eac
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,9 @@ class Point(Protocol):
     def normal(self) -> tuple[Array, Array]:
         """J^T J (k, k) and J^T e (k,) of whitened sensitivities and errors."""
 
+    def cost_in(self, other: Self) -> float:
+        """Its errors' whitened sum of squares as `other`, from which a step led here, weighs them."""
+
 
 def start_model(file: MotorFile, runs: Sequence[Run]) -> Model:
     """The motor file as it is, every run starting where its first samples say."""
@@ -124,23 +127,26 @@ def minimise(
     point = begin
     scale = np.array([prior.sd[key] for key in keys])
     gram, left = np.diag(1 / scale**2), float("inf")
+    whole, share = np.zeros(len(keys)), 1.0
     for k in range(rounds):
         point = between(point)
         values = point.model.values()
-        before = left
-        gram, gradient, cost, left = _seen(point, prior, nearest)
+        before, last = left, whole
+        gram, gradient, cost, whole = _seen(point, prior, nearest)
+        left = _length(whole, gram)
         if left < enough or before <= left < CONVERGED:
             break
+        share = _share(share, last, whole, gram) if max(before, left) < FLAT else 1.0
         moved, fresh = False, False
         for _ in range(TRIES):
-            step = _step(values, prior, gram, gradient, damping, nearest)
+            step = share * _step(values, prior, gram, gradient, damping, nearest)
             try:
                 trial = at(
                     point.model.with_values(
                         dict(zip(keys, (_vector(values, keys) + step).tolist(), strict=True))
                     )
                 )
-                reached = trial.cost + prior.penalty(trial.model.values())
+                reached = trial.cost_in(point) + prior.penalty(trial.model.values())
             except ModelError:
                 reached = np.inf
             if np.isfinite(reached) and (reached < cost or left < FLAT):
@@ -150,7 +156,8 @@ def minimise(
                 fresh, stale = True, point
                 point = anew(stale)
                 if point is not stale:
-                    gram, gradient, cost, left = _seen(point, prior, nearest)
+                    gram, gradient, cost, whole = _seen(point, prior, nearest)
+                    left = _length(whole, gram)
                     continue
             damping = max(damping * 10, 1e-4)
             if _length(step, gram) < enough:
@@ -162,8 +169,8 @@ def minimise(
     return point, gram, left
 
 
-def _seen(point: Point, prior: Prior, nearest: float) -> tuple[Array, Array, float, float]:
-    """At a point, with what is known beforehand: J^T J (k, k), J^T e (k,), the cost, and how far there is to go.
+def _seen(point: Point, prior: Prior, nearest: float) -> tuple[Array, Array, float, Array]:
+    """At a point, with what is known beforehand: J^T J (k, k), J^T e (k,), the cost, and the step to the minimum (k,).
 
     Raises:
         ModelError: a response to a parameter is not finite.
@@ -175,8 +182,23 @@ def _seen(point: Point, prior: Prior, nearest: float) -> tuple[Array, Array, flo
         raise ModelError("the model's response to its parameters has no bound; start from other values")
     gram = gram + np.diag(1 / width**2)
     gradient = gradient + (_vector(prior.centre, keys) - _vector(values, keys)) / width**2
-    left = _length(_step(values, prior, gram, gradient, 0.0, nearest), gram)
-    return gram, gradient, point.cost + prior.penalty(values), left
+    step = _step(values, prior, gram, gradient, 0.0, nearest)
+    return gram, gradient, point.cost + prior.penalty(values), step
+
+
+def _share(before: float, last: Array, step: Array, gram: Array) -> float:
+    """How much of a step (k,) to go after another one, of which that share was gone.
+
+    Each step is told in the frame and under the noise of the point before it. Where those change with the parameters, steps
+    swing about the end, for ever if they are as long as the last: Aitken's relaxation ends that (Irons and Tuck 1969,
+    doi:10.1002/nme.1620010306).
+
+    >>> _share(1.0, np.array([1.0]), np.array([-1.0]), np.eye(1)), _share(1.0, np.array([1.0]), np.array([0.5]), np.eye(1))
+    (0.5, 1.0)
+    """
+    change = step - last
+    moved = float(change @ gram @ change)
+    return min(1.0, max(0.0, -before * float(last @ gram @ change) / moved) or 1.0) if moved > 0 else before
 
 
 def _length(step: Array, gram: Array) -> float:
@@ -250,6 +272,9 @@ class _Averaged:
     @property
     def cost(self) -> float:
         return sum(float(np.sum(self._errors(r) ** 2)) for r in range(len(self.runs)))
+
+    def cost_in(self, other: Self) -> float:
+        return self.cost
 
     def normal(self) -> tuple[Array, Array]:
         gram, gradient = np.zeros((len(self.keys), len(self.keys))), np.zeros(len(self.keys))

@@ -19,7 +19,9 @@ LONGER = 1.5
 def pieces_of(model: Model, runs: Sequence[Run], rows: int) -> tuple[Model, tuple[Run, ...]]:
     """The liveliest piece of each run of many more than `rows` samples, and the model starting there; others as they are."""
     pieces = tuple(
-        run.part(run.liveliest(rows), model.file) if len(run.measured) > LONGER * rows else run
+        run.part(run.liveliest(rows, model.file.motor), model.file)
+        if len(run.measured) > LONGER * rows
+        else run
         for run in runs
     )
     return starting_as(model, start_model(model.file, pieces), cut(runs, pieces)), pieces

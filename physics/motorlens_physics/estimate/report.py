@@ -10,15 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.fit import Fit, inverse
 
 Array = NDArray[np.float64]
 
 # A parameter of which more than this share of its prior deviation is left is not told: the recordings hold less than a
 # quarter (1 / 0.9^2 - 1) of what was known of it before.
 UNTOLD = 0.9
-# Parameters more correlated than this are known only together: each alone is seven times less certain than given the other.
-CONFOUNDED = 0.99
+# Parameters that are this many times less certain alone than given all others are known only together; of these, those that
+# are correlated so that to know the one would halve what is left of the other.
+ALONE, TIED = 7.0, 0.87
 # What lies this many deviations from the motor file contradicts it: one in two million would by chance.
 FAR = 5.0
 # Closer to a bound than this share of the deviation is at it.
@@ -34,7 +35,7 @@ class Findings:
         value: as fitted; of what is not told, the prior's.
         sd: standard deviations, never above the prior's.
         untold: key to a sentence: the recordings do not tell it, it stays what it was.
-        confounded: sentences on pairs that are told only together.
+        confounded: sentences on parameters that are told only together.
         at_bound: key to a sentence: it ends at the edge of what is possible.
         far: key to a sentence: it is `FAR` or more deviations from the motor file.
     """
@@ -106,10 +107,22 @@ def correlation(fit: Fit, keys: tuple[str, ...]) -> Array:
 
 
 def _confounded(fit: Fit, keys: tuple[str, ...], untold: Mapping[str, str]) -> tuple[str, ...]:
-    table = correlation(fit, keys)
-    return tuple(
-        f"{a} and {b}: these recordings tell them only together (correlation {table[j, k]:+.3f})"
-        for j, a in enumerate(keys)
-        for k, b in enumerate(keys)
-        if j < k and a not in untold and b not in untold and abs(table[j, k]) > CONFOUNDED
-    )
+    told = tuple(key for key in keys if key not in untold)
+    table = correlation(fit, told)
+    alone = dict(zip(told, np.sqrt(np.diagonal(inverse(table))), strict=True))
+    unsure = [key for key in told if alone[key] > ALONE]
+    sentences = []
+    while unsure:
+        group, rest = [unsure[0]], unsure[1:]
+        for key in group:
+            near = [b for b in rest if abs(table[told.index(key), told.index(b)]) > TIED]
+            group += near
+            rest = [b for b in rest if b not in near]
+        unsure = rest
+        names = " and ".join([", ".join(group[:-1]), group[-1]] if group[1:] else group)
+        least = min(alone[key] for key in group)
+        sentences.append(
+            f"{names}: these recordings tell them only together "
+            f"(each is {least:.0f} times less certain alone than given the others)"
+        )
+    return tuple(sentences)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.converter import (
@@ -23,6 +24,7 @@ from motorlens_physics.estimate.converter import (
     saturated,
 )
 from motorlens_physics.estimate.signals import level_of, noise_sd
+from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording, inputs_of
 from motorlens_physics.simulation import Inputs
@@ -155,11 +157,7 @@ class Run:
 
         An encoder of a motor that stands counts nothing, however noisy it is when the motor turns.
         """
-        told = np.column_stack([self.measured, self.inputs.voltage_V, self.inputs.load_torque_Nm])
-        changes = np.flatnonzero(np.any(np.diff(told, axis=0) != 0, axis=1))
-        edges = np.concatenate([[0], changes + 1, [len(told)]])
-        lasting = np.diff(edges)
-        return np.repeat(lasting > LONG * np.median(lasting), lasting)
+        return resting([*self.measured.T, self.inputs.voltage_V, self.inputs.load_torque_Nm])
 
     @property
     def coarse(self) -> bool:
@@ -234,12 +232,21 @@ class Run:
             corrections=None if self.corrections is None else self.corrections[rows], unmoved=None, converter_errors=errors,
         )  # fmt: skip
 
-    def liveliest(self, rows: int) -> slice:
-        """The `rows` consecutive samples in which the inputs change most, relative to how much they ever do."""
+    def liveliest(self, rows: int, motor: Motor) -> slice:
+        """The `rows` consecutive samples in which changes of the inputs tell most, relative to how much they ever change.
+
+        A change tells by the answer of the motor, with its mechanical time constant: one at a piece's end tells nothing.
+        """
         inputs = (self.inputs.voltage_V, self.inputs.load_torque_Nm)
         change = sum(np.diff(y) ** 2 / spread for y in inputs if (spread := float(np.var(y))) > 0)
-        total = np.concatenate([[0.0, 0.0], np.cumsum(np.broadcast_to(change, len(self.measured) - 1))])
-        begin = int(np.argmax(total[rows:] - total[:-rows]))
+        changes = np.concatenate([[0.0], np.broadcast_to(change, len(self.measured) - 1)])
+        remains = float(np.exp(-self.period_s / motor.response_s))
+        total = np.append(0.0, np.cumsum(changes))
+        unanswered = np.append(0.0, lfilter([1.0], [1.0, -remains], changes))
+        # What changed until the first sample of a piece shows in none of them.
+        first, last = slice(1, len(total) - rows + 1), slice(rows, None)
+        told = total[last] - total[first] - unanswered[last] + remains ** (rows - 1) * unanswered[first]
+        begin = int(np.argmax(told))
         return slice(begin, min(begin + rows, len(self.measured)))
 
     def fresh(self) -> NDArray[np.bool_]:
@@ -279,31 +286,35 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other.
     ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
     ambient = level_of(time, ambient, AMBIENT_S)
+    inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
     every = max(1, -(-rows // ROWS))
+    for k, y in enumerate(recording.channels[channel] for channel in used):
+        there = np.isfinite(y)
+        measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
+    # An encoder at rest counts nothing, however noisy it is when the motor turns.
+    tells = ~resting([*measured.T, inputs.voltage_V, inputs.load_torque_Nm])
     hung: dict[str, tuple[float, float]] = {}
     ends: dict[str, int] = {}
     converters: list[Converter] = []
     errors: dict[str, LastingError] = {}
     for k, channel in enumerate(used):
         y = recording.channels[channel]
-        there, hangs, beyond = np.isfinite(y), hanging(y), saturated(y)
-        present[:, k] = there & ~hangs & ~beyond & ~imposed.get(channel, False)
+        hangs, beyond = hanging(y), saturated(y)
+        present[:, k] = np.isfinite(y) & ~hangs & ~beyond & ~imposed.get(channel, False)
         if beyond.any():
             ends[channel] = int(beyond.sum())
         if hangs.any():
             first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
             hung[channel] = (first, last)
-        measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
-        converter = converter_of(y)
-        white, lasts = converter_error(measured[:, k], converter.step, converter.lean)
+        converter = converter_of(y, tells)
+        white, lasts = converter_error(measured[:, k], converter.step, converter.lean, tells)
         converters.append(converter)
         quantum[k] = np.sqrt(white)
         if lasts is not None:
             errors[channel] = lasts
         floor[k] = max(quantum[k], 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
-    inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
     angle = recording.channels.get("angle")
     if angle is not None and not np.isfinite(angle).all():
@@ -322,7 +333,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     coarse_inputs = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
     shown = {"voltage": inputs.voltage_V, "load_torque": inputs.load_torque_Nm}
     for (name, y), step in zip(shown.items(), coarse_inputs, strict=True):
-        lasts = converter_error(y, step)[1]
+        lasts = converter_error(y, step, tells=tells)[1]
         if lasts is not None:
             errors[name] = lasts
     exact = {
@@ -354,6 +365,14 @@ def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, 
     return tuple(
         replace(run, turns=run.angle is not None if measured else run is finest and fine) for run in runs
     )
+
+
+def resting(channels: Sequence[Array]) -> NDArray[np.bool_]:
+    """(N,) samples amid many at which none of the channels (N,) changes."""
+    changes = 1 + np.flatnonzero(np.any([np.diff(y) != 0 for y in channels], axis=0))
+    edges = np.concatenate([[0], changes, [len(channels[0])]])
+    lasting = np.diff(edges)
+    return np.repeat(lasting > LONG * np.median(lasting), lasting)
 
 
 def first_states(

@@ -27,6 +27,19 @@ from motorlens_physics.estimate.weighed import (
 REALIGNED = 4
 
 
+def moved(point: Weighed, prior: Prior, progress: Callable[[str], None]) -> Weighed:
+    """The point with channels moved whose skew has come to a sample, as long as that makes the recording likelier."""
+    for _ in range(REALIGNED):
+        other = realigned(point, prior)
+        if other is point:
+            break
+        other, _, _ = minimised(other, prior, progress, outliers=False)
+        if gained(point, other, prior) < needed(1):
+            break
+        point = other
+    return point
+
+
 @dataclass(frozen=True)
 class Timing:
     """What is needed to look for another timing of runs.
@@ -64,15 +77,7 @@ class Timing:
             if late is point:
                 break
             point = self._as_they_ran(late) if free else late
-        for _ in range(REALIGNED):
-            other = realigned(point, self.prior)
-            if other is point:
-                break
-            other = self._minimised(other)
-            if gained(point, other, self.prior) < needed(1):
-                break
-            point = other
-        return point
+        return moved(point, self.prior, self.progress)
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         runs = as_they_ran(point, self.prior)

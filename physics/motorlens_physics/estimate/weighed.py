@@ -126,9 +126,7 @@ class Errors:
 
     def with_duration(self) -> "Errors":
         """With an unmeasured torque that lasts as long as is likeliest."""
-        motor = self.frame.model.file.motor
-        # Driven by a voltage, the shaft follows with the mechanical time constant.
-        response_s = motor.J * motor.R_a0 / motor.ke**2
+        response_s = self.frame.model.file.motor.response_s
         noise = lasting(self.noise, self.run, self.linear, self.error, self.used, response_s)
         return replace(self, noise=noise)
 
@@ -192,7 +190,7 @@ class Weighed:
 
     @property
     def frames(self) -> list[Frame]:
-        """In which other points are compared with this one."""
+        """In which other points are compared with this one: along its corrected inputs."""
         return [replace(part.frame, run=part.run) for part in self.parts]
 
     @cached_property
@@ -214,6 +212,15 @@ class Weighed:
             else on_all_cores(Errors.squares, self.parts)
         )
         return sum(squares) / self.inflation
+
+    def cost_in(self, other: "Weighed") -> float:
+        """The whitened sum of squares of its errors, seen in the frames of another point."""
+
+        def one(pair: tuple[Errors, Frame]) -> float:
+            part, frame = pair
+            return replace(part, frame=frame, error=frame.error(part.difference)).squares()
+
+        return sum(on_all_cores(one, zip(self.parts, other.frames, strict=True))) / self.inflation
 
     def tempered(self) -> "Weighed":
         """With an inflation by which blocks of time scatter more than their noise says, at least 1.

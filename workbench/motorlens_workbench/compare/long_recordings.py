@@ -61,7 +61,7 @@ def beside(
     long = [r for r, recording in enumerate(recordings) if is_long(recording)]
     runs = prepare_all(recordings, file)
     begins = [one.part(slice(0, PART)) if is_long(one) else one for one in recordings]
-    lively = [recordings[r].part(runs[r].liveliest(PART)) for r in long]
+    lively = [recordings[r].part(runs[r].liveliest(PART, file.motor)) for r in long]
     progress("finding how each recording starts, and its noise")
     model, parts = free_runs(file, prepare_all([*begins, *lively], file) if long else runs)
     whole, own, held = list(parts[: len(runs)]), list(model.own[: len(runs)]), list(model.held[: len(runs)])
