@@ -324,5 +324,5 @@ def inverse(gram: Array) -> Array:
     """Of a symmetric positive matrix, directions that are not determined kept finite."""
     scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    values = np.maximum(values, 1e-13 * values[-1])
+    values = np.maximum(values, 1e-13 * values.max(initial=0.0))
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
