@@ -1,5 +1,7 @@
 """Channels that were recorded late are found, moved and said, and no others; the plant is an integrator of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import plain_motor
@@ -9,6 +11,7 @@ from motorlens_physics.estimate import delays
 from motorlens_physics.estimate.delays import delays_of, gains_of_lags, likeliest_lag
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.model import predict, response_to_inputs, sensitivities_of
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import prepare_all
@@ -18,6 +21,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensitivity import Linearisation
+from motorlens_physics.sensor_model import sensor_catalogue
 
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
@@ -73,6 +77,35 @@ def test_a_channel_that_was_recorded_late_is_found_moved_and_said(late: float) -
     inertia, sd = found.fit.model.file.motor.J, found.fit.sd()["J"]
     assert inertia == pytest.approx(SLOWER["J"], rel=0.01)
     assert abs(inertia - SLOWER["J"]) < 4 * sd
+
+
+def test_sensitivities_of_a_channel_that_is_late_are_those_of_what_is_shown() -> None:
+    # Central differences of the prediction: a step of the voltage moves a current that is sampled late as it moves that.
+    time = np.arange(600) * PERIOD_S
+    volts = np.repeat([40.0, -90.0, 120.0], 200)
+    channels = {"voltage": volts, "current": volts / 50, "speed": volts, "load_torque": 0 * time}
+    lag = replace(sensor_catalogue()["speed_sensor_lag"], tau=0.01)
+    file = replace(MotorFile("plate", Motor(**TYPICAL), PLATE), sensors=(lag,))
+    (run,) = prepare_all([Recording("late.csv", time, channels)], file)
+    late = {"skew.current@0": 0.6 * PERIOD_S, "skew.speed@0": -0.4 * PERIOD_S}
+    model = start_model(file, [run]).with_values(late)
+    keys = ("L", "R_a0", "J", "ke", "initial.w@0", "skew.current@0", "skew.speed@0")
+    _, shown, columns, linear = sensitivities_of(model, run, 0, keys)
+    values = model.values()
+    for j, key in enumerate(keys):
+        step = 1e-3 * (PERIOD_S if key.startswith("skew.") else abs(values[key]) or 1.0)
+        above, below = (
+            predict(model.with_values({key: values[key] + sign * step}), run, 0)[1] for sign in (1, -1)
+        )
+        assert columns[:, :, j] == pytest.approx(
+            (above - below) / (2 * step), abs=2e-3 * float(np.abs(columns[:, :, j]).max())
+        ), key
+    # And so does the response to a voltage.
+    more = np.where(time > 0.3, 0.5, 0.0)
+    brighter = replace(run, inputs=replace(run.inputs, voltage_V=volts + more))
+    response = response_to_inputs(model, run, 0, linear, more, 0 * more)
+    change = predict(model, brighter, 0)[1] - shown
+    assert response == pytest.approx(change, abs=2e-3 * float(np.abs(change).max()))
 
 
 @pytest.mark.fit

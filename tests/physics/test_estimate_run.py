@@ -47,14 +47,14 @@ def test_small_changes_go_through_sensors_as_the_sensors_record_them():
     (run,) = prepare_all([rest], file)
     model = start_model(file, [run])
     columns = np.random.default_rng(1).standard_normal((len(time), 2, 3)).cumsum(axis=0)
-    moved = through_sensors(model, run, columns)
+    moved = through_sensors(model, run, 0, columns)
     assert moved[:, 0] == pytest.approx(1.2 * columns[:, 0])
     for j in range(3):
         u = columns[:, 1, j]
         # From where it rested at the first sample.
         late = lsim(([1.0], [0.3, 1.0]), u - u[0], time)[1] + u[0]
         assert moved[:, 1, j] == pytest.approx(late, abs=1e-9)
-    assert through_sensors(model, run, columns[:, :, :0]).shape == (len(time), 2, 0)
+    assert through_sensors(model, run, 0, columns[:, :, :0]).shape == (len(time), 2, 0)
 
 
 def wheel(offset: float) -> Recording:

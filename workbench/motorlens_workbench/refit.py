@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.estimate import estimate, near
+from motorlens_physics.estimate.estimate import near, whole
 from motorlens_physics.estimate.fit import inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
@@ -35,7 +35,13 @@ LEAST = 1e-3
 def refit(model: Model, prior: Prior, runs: Sequence[Run]) -> Fitted | None:
     """Fit a model from where it is, the noise as it is; None if it leads where nothing can be simulated."""
     try:
-        point = _point(model, prior, runs)
+        return _refit(_point(model, prior, runs), prior, runs)
+    except ModelError:
+        return None
+
+
+def _refit(point: Weighed, prior: Prior, runs: Sequence[Run]) -> Fitted | None:
+    try:
         point, gram, _ = minimise(
             point,
             prior,
@@ -56,26 +62,30 @@ def settled(fitted: Fitted) -> Fitted:
     Raises:
         ModelError: it leads where nothing can be simulated.
     """
-    point = _point(fitted.model, fitted.prior, fitted.runs)
-    point, gram, _ = minimised(point, fitted.prior, lambda text: None, outliers=False)
+    return _settled(_point(fitted.model, fitted.prior, fitted.runs), fitted.prior)
+
+
+def _settled(point: Weighed, prior: Prior) -> Fitted:
+    point, gram, _ = minimised(point, prior, lambda text: None, outliers=False)
     runs = tuple(replace(part.run, noise=part.noise) for part in point.parts)
-    cost = point.cost + fitted.prior.penalty(point.model.values())
-    return Fitted(point.model, fitted.prior, runs, cost, inverse(gram))
+    cost = point.cost + prior.penalty(point.model.values())
+    return Fitted(point.model, prior, runs, cost, inverse(gram))
 
 
 def anew(fitted: Fitted, reached: Weighed | None = None) -> Fitted | None:
-    """The whole estimate with the effects and sensors' faults that the model has, timing and noise included.
+    """The model estimated from the beginning with the effects and sensors' faults that it has, timing and noise included.
 
     It begins at the motor file, not where the model without them had ended: what is missing bends the parameters, and may
-    pass for a delay or for inputs that ran otherwise. Or it goes on from what `nearly` has reached. None if it leads where
-    nothing can be simulated.
+    pass for a delay or for inputs that ran otherwise. Or it goes on from what `nearly` has reached. It ends as `settled`
+    does, so that both can be compared. None if it leads where nothing can be simulated.
     """
     begin, runs = _beginning(fitted)
+    prior = fitted.prior
     try:
-        found = estimate(begin.file, runs, fitted.prior, begin=begin, reached=reached)
+        pieces = near(runs, prior, begin) if reached is None else reached
+        return _settled(whole(pieces, begin, runs, prior), prior)
     except ModelError:
         return None
-    return Fitted(found.fit.model, fitted.prior, found.runs, float("inf"), found.fit.covariance)
 
 
 def nearly(fitted: Fitted) -> Weighed | None:
@@ -113,18 +123,29 @@ def _point(model: Model, prior: Prior, runs: Sequence[Run]) -> Weighed:
 def with_hypothesis(fitted: Fitted, beside: Beside, score: Score) -> Fitted | None:
     """The model fitted again with a hypothesis, under the noise that the model has; None if no start can be simulated.
 
-    It starts where the linearised problem ends, and if that loses its way from the model as it is, the hypothesis at its
-    typical size.
+    It starts where the linearised problem ends or, from the model as it is, with the hypothesis at its typical size: where
+    the errors are smaller, and if that loses its way, from the other.
     """
     shape = score.entry.shape
     assert isinstance(shape, EffectShape | SensorShape)
-    moved = _moved(fitted, beside, score)
-    best = refit(*_added(fitted, _part(shape, _sizes(score)), moved), fitted.runs)
-    if best is None or fitted.cost - best.cost < KEPT * score.gain:
-        at_typical = begun(fitted, score)
-        other = refit(at_typical.model, at_typical.prior, fitted.runs)
+    at_typical = begun(fitted, score)
+    starts: list[tuple[float, Weighed, Prior]] = []
+    for model, prior in (
+        _added(fitted, _part(shape, _sizes(score)), _moved(fitted, beside, score)),
+        (at_typical.model, at_typical.prior),
+    ):
+        try:
+            point = _point(model, prior, fitted.runs)
+        except ModelError:
+            continue
+        starts.append((point.cost + prior.penalty(model.values()), point, prior))
+    best: Fitted | None = None
+    for _, point, prior in sorted(starts, key=lambda start: start[0]):
+        other = _refit(point, prior, fitted.runs)
         if other is not None and (best is None or other.cost < best.cost):
             best = other
+        if best is not None and fitted.cost - best.cost >= KEPT * score.gain:
+            break
     return best
 
 

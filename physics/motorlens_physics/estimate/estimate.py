@@ -74,7 +74,6 @@ def estimate(
     *,
     held: bool | None = None,
     begin: Model | None = None,
-    reached: Weighed | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Estimate:
     """Fit a motor to prepared recordings.
@@ -86,7 +85,6 @@ def estimate(
         held: whether measured inputs hold between samples or run linearly; None decides by the likelihood, each input and
             recording of its own.
         begin: where to begin, instead of the motor file.
-        reached: where `near` has led from there, if it has been asked before.
         progress: told what goes on.
 
     Raises:
@@ -96,10 +94,7 @@ def estimate(
     model = start_model(file, runs) if begin is None else begin
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
-    point = near(runs, prior, model, held=held, progress=progress) if reached is None else reached
-    point = _with_more(point, *pieces_of(model, runs, FARTHER * PIECE), runs, prior, progress)
-    point = _with_more(point, model, runs, runs, prior, progress)
-    point = _with_converters_and_shaft(point, model.tolerance, prior)
+    point = whole(near(runs, prior, model, held=held, progress=progress), model, runs, prior, progress)
     point, gram, left = _tempered(point, prior, progress)
     found = _concluded(point, prior, gram, left)
     said = findings(found.fit)
@@ -108,8 +103,27 @@ def estimate(
     return replace(found, runs=_followed(found.fit.model, found.runs))
 
 
+def whole(
+    near: Weighed,
+    begin: Model,
+    runs: Sequence[Run],
+    prior: Prior,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Weighed:
+    """From `near` the best parameters as far as pieces of runs tell, near those of all samples.
+
+    Args: as of `estimate`.
+
+    Raises:
+        ModelError: the motor cannot be simulated there.
+    """
+    point = _with_more(near, *pieces_of(begin, runs, FARTHER * PIECE), runs, prior, progress)
+    point = _with_more(point, begin, runs, runs, prior, progress)
+    return _with_converters_and_shaft(point, begin.tolerance, prior)
+
+
 def near(
-    whole: Sequence[Run],
+    runs: Sequence[Run],
     prior: Prior,
     begin: Model,
     *,
@@ -125,11 +139,11 @@ def near(
     """
     progress("coming near")
     begin = replace(begin, tolerance=COARSE)
-    wide, longer = pieces_of(begin, whole, FARTHER * PIECE)
-    model, runs = pieces_of(wide, longer, PIECE)
-    prior = prior_of(prior, begin, runs, cut(whole, runs))
+    wide, longer = pieces_of(begin, runs, FARTHER * PIECE)
+    model, pieces = pieces_of(wide, longer, PIECE)
+    prior = prior_of(prior, begin, pieces, cut(runs, pieces))
     timing = Timing(model, wide, longer, prior, progress)
-    point = timing.likeliest(timing.near(model, runs), free=held is None)
+    point = timing.likeliest(timing.near(model, pieces), free=held is None)
     # Parameters that are wrong leave errors that follow the inputs, and that last.
     rough = with_rough_inputs(point, prior)
     point = point if rough is point else minimised(rough, prior, progress, outliers=False)[0]

@@ -139,21 +139,30 @@ def shown(model: Model, run: Run, r: int, y: Array) -> Array:
 
 
 def _read(model: Model, run: Run, r: int, out: Array) -> Array:
-    """Turn true outputs into what the sensors show, in place."""
+    """Turn true outputs into what is shown, in place."""
     for k, channel in enumerate(run.channels):
-        for sensor in model.file.sensors:
-            if sensor.channel == channel:
-                out[:, k] = _record(sensor, run.inputs.time_s, out[:, k])
-        skew = model.own[r].get(f"skew.{channel}", 0.0)
-        if skew:
-            out[:, k] -= skew * np.gradient(out[:, k], run.inputs.time_s)
+        out[:, k] = _skewed(model, run, r, channel, _sensed(model, run, channel, out[:, k]))
     for k, converter in enumerate(run.converters):
         out[:, k] += converter.bias(out[:, k])
     return out
 
 
-def through_sensors(model: Model, run: Run, columns: Array) -> Array:
-    """(N, C, m) changes of true outputs to changes of what is shown; sensor models are affine."""
+def _sensed(model: Model, run: Run, channel: str, y: Array) -> Array:
+    """(N,) of a channel as its sensor has it when it is sampled."""
+    for sensor in model.file.sensors:
+        if sensor.channel == channel:
+            y = _record(sensor, run.inputs.time_s, y)
+    return y
+
+
+def _skewed(model: Model, run: Run, r: int, channel: str, y: Array) -> Array:
+    """(N, ...) of a channel as they are sampled, a part of a sample late."""
+    skew = model.own[r].get(f"skew.{channel}", 0.0)
+    return y - skew * np.gradient(y, run.inputs.time_s, axis=0) if skew and y.size else y
+
+
+def through_sensors(model: Model, run: Run, r: int, columns: Array) -> Array:
+    """(N, C, m) changes of true outputs to changes of what is shown; sensor models are affine, and skews linear."""
     out = columns
     for k, channel in enumerate(run.channels):
         for sensor in model.file.sensors:
@@ -162,6 +171,9 @@ def through_sensors(model: Model, run: Run, columns: Array) -> Array:
             out = out.copy() if out is columns else out
             zero = _record(sensor, run.inputs.time_s, np.zeros(len(out)))
             out[:, k] = _record(sensor, run.inputs.time_s, out[:, k]) - zero[:, None]
+        if model.own[r].get(f"skew.{channel}"):
+            out = out.copy() if out is columns else out
+            out[:, k] = _skewed(model, run, r, channel, out[:, k])
     return out
 
 
@@ -205,12 +217,12 @@ def sensitivities_of(
             columns[:, :, j] = _stack_states(run, braked)[:, :, 0]
         elif name == "ambient" and "temperature" in run.channels:
             columns[:, run.channels.index("temperature"), j] = 1.0
-    columns = through_sensors(model, run, columns)
+    columns = through_sensors(model, run, r, columns)
     out = shown(model, run, r, y)
     for j, (key, name) in enumerate(zip(keys, local, strict=True)):
         if name.startswith("skew."):
             k = run.channels.index(name[5:])
-            columns[:, k, j] = -np.gradient(out[:, k], run.inputs.time_s)
+            columns[:, k, j] = -np.gradient(_sensed(model, run, name[5:], y[:, k]), run.inputs.time_s)
         elif key in outside or _is_sensor(model, key):
             value = model.file.values()[key]
             # A phase may be 0, typically too; what is known of it beforehand never is.
@@ -225,7 +237,7 @@ def sensitivities_of(
                 torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
                 held=inputs.hold,
             )
-            columns[:, :, j : j + 1] = through_sensors(model, run, _stack_states(run, moved))
+            columns[:, :, j : j + 1] = through_sensors(model, run, r, _stack_states(run, moved))
     return trajectory, out, columns, linear
 
 
@@ -244,7 +256,7 @@ def response_to_inputs(
     acted = _acted(model, run, voltage + voltage_V, load + load_torque_Nm)
     added = np.column_stack(acted) - np.column_stack(_acted(model, run, voltage, load))
     moved = linear.respond(voltage_V=added[:, :1], torque_Nm=-added[:, 1:], held=model.held[r])
-    return through_sensors(model, run, _stack_states(run, moved))[:, :, 0]
+    return through_sensors(model, run, r, _stack_states(run, moved))[:, :, 0]
 
 
 def as_shown(model: Model, run: Run, voltage_V: Array, load_torque_Nm: Array) -> tuple[Array, Array]:

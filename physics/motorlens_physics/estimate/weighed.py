@@ -337,9 +337,9 @@ def minimised(
         latest[0] = noisier(here, next(updates, BRIEFLY), outliers=outliers)
         return latest[0]
 
-    # On the way, near is enough; to the end, corrections that were made far away must not keep it from there.
+    # Corrections that were made far away must not keep it from going on.
     def anew(here: Weighed) -> Weighed:
-        return at(here.model, here, prior) if outliers else here
+        return at(here.model, here, prior)
 
     end, gram, left = minimise(
         point, prior, lambda model: at(model, latest[0], prior), rounds=ROUNDS,

@@ -113,17 +113,14 @@ def enter(
     made.sort(key=lambda pair: -posterior(pair[0], base.cost - pair[1].cost, scatter))
     step = Step()
     for one, fitted in made:
-        # It was fitted under what noise the strongest would leave; from there and from the model's own, noise is found anew.
-        own_noise = replace(fitted, runs=here.fitted.runs)
-        starts = (fitted,) if fitted.runs == here.fitted.runs else (fitted, own_noise)
-        step = step.then(_judged(here, one.score, starts, own))
+        step = step.then(_judged(here, one.score, fitted, own))
         if step.accepted is None and step.standing is not None:
             return step
         if step.standing is not None:
             # What was missing may have passed for a delay.
             again = anew(step.standing.fitted)
             if again is not None and _unlikely(here, again) < step.unlikely:
-                step = step.then(_judged(here, one.score, (again,), own))
+                step = step.then(_judged(here, one.score, again, own))
             break
     if not (strongest.named if step.standing is None else follows(step.standing)):
         # What is missing has bent the model, and where that ended another name, or none, may help most.
@@ -182,7 +179,7 @@ def enter_anew(
     }
     step = nothing
     for one, fitted in sorted(made, key=lambda pair: -likely[pair[0].name]):
-        step = step.then(_judged(here, one, (fitted,), own))
+        step = step.then(_judged(here, one, fitted, own))
         if step.accepted is not None:
             beside = {name: 0.5 * (less[one.name] - more) for name, more in less.items()}
             return replace(step, accepted=replace(step.accepted, beside=beside))
@@ -210,11 +207,10 @@ def _unlikely(here: Standing, fitted: Fitted) -> float:
         return float("inf")
 
 
-def _judged(here: Standing, one: Score, starts: Sequence[Fitted], own: Sequence[type[Effect]]) -> Step:
-    """A hypothesis fitted in full, from some models that have it; it enters if it is beyond chance."""
+def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect]]) -> Step:
+    """A hypothesis fitted in full, from a model that has it; it enters if it is beyond chance."""
     try:
-        ends = [settled(start) for start in starts]
-        end = min(ends, key=lambda end: unlikely_from(here, end))
+        end = settled(start)
         told = worth(here, one, end)
         score, judged = told.score, {one.name: told.times}
         if score is None or told.times < 1.0:

@@ -71,7 +71,7 @@ class Line:
             for part in (forcing.voltage, forcing.torque, forcing.heat)
         )
         states = self.linear.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat, held=held)
-        return through_sensors(self.model, self.run, self._stacked(states))
+        return through_sensors(self.model, self.run, self.r, self._stacked(states))
 
     def of_sensor(self, sensor: SensorModel) -> Array:
         """(N, C, 1) what a sensor's fault of this size would change; zero where its channel was not recorded."""
