@@ -102,6 +102,12 @@ class Converter:
             return np.zeros_like(y)
         return self.lean * self.shape(y)
 
+    def slope(self, y: Array) -> Array:
+        """(N,) by how much the mean reading rises with true values (N,)."""
+        if not self.lean:
+            return np.ones_like(y)
+        return np.asarray(1 - 2 * self.lean * np.cos(2 * np.pi * (y - self.level) / self.step))
+
     def shape(self, y: Array) -> Array:
         """(N,) the first harmonic of the reading's error, at a lean of 1."""
         return np.asarray(-self.step / np.pi * np.sin(2 * np.pi * (y - self.level) / self.step))
