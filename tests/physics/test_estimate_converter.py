@@ -1,12 +1,14 @@
 """The mean reading of a noisy converter against drawn readings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from motorlens_physics.estimate.converter import (
     Converter,
-    converter_error,
     converter_of,
+    lasting_error,
     leaning,
     quantisation_step,
     saturated,
@@ -27,7 +29,9 @@ def test_the_mean_reading_leans_as_said(sd):
     found = converter_of(shown(slow, sd, rng, level=0.07))
     assert found.step == pytest.approx(STEP)
     assert (found.level - 0.07 + STEP / 2) % STEP - STEP / 2 == pytest.approx(0.0, abs=0.02)
-    assert found.lean == pytest.approx(np.exp(-2 * (np.pi * sd / STEP) ** 2), abs=0.04)
+    assert found.lean == 0.0
+    assert found.expected == pytest.approx(np.exp(-2 * (np.pi * sd / STEP) ** 2), abs=0.04)
+    found = replace(found, lean=found.expected)
     for truth in (0.02, 0.1, 0.16, 0.24):
         drawn = shown(np.full(200_000, truth), sd, rng, level=0.07).mean() - truth
         assert found.bias(np.array([truth]))[0] == pytest.approx(drawn, abs=0.012)
@@ -39,10 +43,10 @@ def test_a_lean_is_learnt_from_what_a_fit_leaves():
     truth = 2 + np.sin(np.arange(60_000) / 5000)
     reading = shown(truth, 0.12, rng)
     believed = Converter(STEP, 0.0, 0.5)
-    learnt = leaning(believed, truth, reading - truth - believed.bias(truth))
+    learnt = leaning(believed, truth, reading - truth)
     assert learnt.lean == pytest.approx(np.exp(-2 * (np.pi * 0.12 / STEP) ** 2), abs=0.03)
     still = leaning(believed, np.full(60_000, 0.15), np.zeros(60_000))
-    assert still == believed
+    assert still == replace(believed, lean=0.5)
 
 
 @pytest.mark.parametrize("sd", [0.06, 0.12, 0.24, 0.5])
@@ -93,9 +97,10 @@ def test_a_converters_error_is_as_large_and_lasts_as_long_as_drawn_ones(sd, held
         noise = sd * rng.standard_normal(samples)
         reading = np.round((truth + noise) / STEP) * STEP
         converter = converter_of(reading)
-        white, lasts = converter_error(reading, converter.step, converter.lean)
-        error = reading - truth - noise - converter.bias(truth)
+        lasts = lasting_error(reading, converter.step, converter.expected)
+        error = reading - truth - noise - replace(converter, lean=converter.expected).bias(truth)
         variance, keeps = (lasts.variance, lasts.keeps()) if lasts else (0.0, np.zeros(samples - 1))
+        white = STEP**2 / 12 - variance
         beside, before = 0.0, 0.0
         for keep in keeps:
             before = keep * (1 + before)
@@ -110,7 +115,7 @@ def test_a_converters_error_is_as_large_and_lasts_as_long_as_drawn_ones(sd, held
 
 def test_what_lasts_goes_on_where_the_signal_moves():
     staying = np.concatenate([np.zeros(100), np.arange(50) * 2.0, np.full(200, 100.0)])
-    lasts = converter_error(staying, 1.0)[1]
+    lasts = lasting_error(staying, 1.0)
     assert lasts is not None
     keeps = lasts.keeps()
     assert np.all(keeps[:99] > 0.97) and np.all(keeps[101:148] == 0) and np.all(keeps[151:] > 0.98)

@@ -89,7 +89,7 @@ def test_sensitivities_are_those_of_what_is_shown_late_and_by_a_coarse_converter
     lag = replace(sensor_catalogue()["speed_sensor_lag"], tau=0.01)
     file = replace(MotorFile("plate", Motor(**TYPICAL), PLATE), sensors=(lag,))
     (run,) = prepare_all([Recording("late.csv", time, channels)], file)
-    run = replace(run, converters=(Converter(5.0, 0.3, lean), Converter(2.0, 0.1, lean)))
+    run = replace(run, converters=(Converter(5.0, 0.3, lean=lean), Converter(2.0, 0.1, lean=lean)))
     late = {"skew.current@0": 0.6 * PERIOD_S, "skew.speed@0": -0.4 * PERIOD_S}
     model = start_model(file, [run]).with_values(late)
     keys = ("L", "R_a0", "J", "ke", "initial.w@0", "skew.current@0", "skew.speed@0")

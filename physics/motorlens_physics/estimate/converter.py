@@ -89,11 +89,13 @@ class Converter:
     Attributes:
         step: least significant bit, 0 if continuous.
         level: one of its levels.
-        lean: how much of the full lean towards the nearest level is left, from 0 (noise blurs it) to 1 (no noise).
+        expected: how much of the full lean towards the nearest level its noise should leave, from 0 (it blurs all) to 1.
+        lean: how much is taken to be left; 0 far from the best parameters, where a level is as near as another.
     """
 
     step: float = 0.0
     level: float = 0.0
+    expected: float = 0.0
     lean: float = 0.0
 
     def bias(self, y: Array) -> Array:
@@ -114,7 +116,7 @@ class Converter:
 
 
 def converter_of(y: Array, tells: NDArray[np.bool_] | None = None) -> Converter:
-    """The converter of a channel (N,), with the lean that the noise on it should leave.
+    """The converter of a channel (N,), with the lean to expect of the noise on it.
 
     Args:
         y: (N,) as recorded.
@@ -130,16 +132,17 @@ def converter_of(y: Array, tells: NDArray[np.bool_] | None = None) -> Converter:
 
 
 def leaning(converter: Converter, truth: Array, error: Array) -> Converter:
-    """The converter with its lean improved by the error (N,) that is left beside a fitted truth (N,)."""
+    """The converter with the lean that the error (N,) beside a fitted truth (N,) tells, beside what is to be expected."""
     shape = converter.shape(truth) if converter.step else np.zeros(len(truth))
     power = float(shape @ shape)
     if power <= 0:
-        return converter
-    more = float(shape @ error) / power
+        return replace(converter, lean=converter.expected)
+    seen = float(shape @ error) / power
     # Neighbouring samples share their error: the scatter is that of sums over pieces.
-    left = shape * (error - more * shape)
-    variance = np.sum(np.add.reduceat(left, np.arange(0, len(left), PIECE)) ** 2) / power**2
-    lean = converter.lean + more * BELIEF**2 / (BELIEF**2 + variance)
+    left = shape * (error - seen * shape)
+    scatter = np.sum(np.add.reduceat(left, np.arange(0, len(left), PIECE)) ** 2) / power**2
+    variance = max(float(scatter), converter.step**2 / 12 / power)
+    lean = (BELIEF**2 * seen + variance * converter.expected) / (BELIEF**2 + variance)
     return replace(converter, lean=float(np.clip(lean, 0.0, MOST)))
 
 
@@ -161,10 +164,10 @@ class LastingError:
         return np.asarray((stays - 1) / (stays + 1))
 
 
-def converter_error(
+def lasting_error(
     y: Array, step: float, lean: float = 0.0, tells: NDArray[np.bool_] | None = None
-) -> tuple[float, LastingError | None]:
-    """What a converter adds to a channel: the variance of white noise, and what lasts; None if that does not matter.
+) -> LastingError | None:
+    """What lasts of a converter's error; None if that does not matter.
 
     Noise makes the error another one at every sample. What it does not blur, and `Converter.bias` does not know, stays while
     the signal stays between two levels: Gray and Stockham (1993), Dithered quantizers, doi:10.1109/18.256489.
@@ -176,14 +179,14 @@ def converter_error(
         tells: (N,) samples that tell its noise; None is all.
 
     >>> held, noise = np.repeat(np.arange(40) * 7.3, 100), np.random.default_rng(0).standard_normal(4000)
-    >>> white, lasts = converter_error(np.round(held + 0.1 * noise), 1.0)
-    >>> round(white * 12, 2), round(lasts.variance * 12, 2), float(np.median(lasts.stays))
-    (0.5, 0.5, 100.0)
-    >>> converter_error(np.round(held + 0.5 * noise), 1.0)[1] is None
+    >>> lasts = lasting_error(np.round(held + 0.1 * noise), 1.0)
+    >>> round(lasts.variance * 12, 2), float(np.median(lasts.stays))
+    (0.5, 100.0)
+    >>> lasting_error(np.round(held + 0.5 * noise), 1.0) is None
     True
     """
     if not step:
-        return 0.0, None
+        return None
     # Harmonics of the mean error between two levels: without noise, their squares add up to step^2 / 12.
     order = np.arange(1, HARMONICS + 1)
     noise = noise_sd(y if tells is None else y[tells], step)
@@ -191,10 +194,9 @@ def converter_error(
     mean[0] -= min(mean[0], lean)
     share = float(np.sum((mean / order) ** 2) / np.sum(1.0 / order**2))
     stays = _stays(smoothed(y, step), step)
-    all_of_it = step**2 / 12
     if share * (float(np.mean(stays)) - 1) < NEGLIGIBLE:
-        return all_of_it, None
-    return (1 - share) * all_of_it, LastingError(share * all_of_it, stays)
+        return None
+    return LastingError(share * step**2 / 12, stays)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -189,11 +189,13 @@ def _with_converters_and_shaft(near: Weighed, tolerance: float, prior: Prior) ->
         state.kind == "angle" for effect in near.model.file.motor.effects for state in effect.states.values()
     )
     runs = _followed(near.model, near.runs) if turned else near.runs
+    # A converter that was found to lean has been shown so, not as it truly was.
     runs = tuple(
-        run.leaning(part.run.measured - part.difference) for part, run in zip(near.parts, runs, strict=True)
+        run if any(one.lean for one in run.converters) else run.leaning(part.run.measured - part.difference)
+        for part, run in zip(near.parts, runs, strict=True)
     )
-    alike = all(run.converters == part.run.converters for part, run in zip(near.parts, runs, strict=True))
-    if alike and not turned and tolerance == near.model.tolerance:
+    alike = all(run is part.run for part, run in zip(near.parts, runs, strict=True))
+    if alike and tolerance == near.model.tolerance:
         return near
     parts = tuple(replace(part, run=run) for part, run in zip(near.parts, runs, strict=True))
     return at(replace(near.model, tolerance=tolerance), replace(near, parts=parts), prior)

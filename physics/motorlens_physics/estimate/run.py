@@ -17,8 +17,8 @@ from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.converter import (
     Converter,
     LastingError,
-    converter_error,
     converter_of,
+    lasting_error,
     leaning,
     quantisation_step,
     saturated,
@@ -79,8 +79,8 @@ class Run:
         angle: (N,) shaft angle, if recorded.
         shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
         there: (N, C) which samples of each output were measured, and not imposed on the motor.
-        quantum: (C,) standard deviation of the white noise that the converter of an output adds to a sample.
-        converter_errors: sensor -> what lasts of its converter's error, where that matters, see `converter.converter_error`.
+        quantum: (C,) standard deviation of the error that the converter of an output adds to a sample.
+        converter_errors: sensor -> what lasts of its converter's error, where that matters, see `converter.lasting_error`.
         input_step: the least significant bit of voltage and load torque, 0 if continuous.
         corrections: (N, 2) what the sensors of voltage (V) and load torque (N m) showed too little, as a fit expects it
             given all that was measured; None is nothing.
@@ -91,7 +91,7 @@ class Run:
         saturated: channel -> how many of its samples are at the end of its converter's range; these are not valid.
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
-        unmoved: the run before its channels were moved; None if none was.
+        unmoved: the run before its channels were moved or its converters were found to lean; None if neither was.
     """
 
     name: str
@@ -161,8 +161,8 @@ class Run:
 
     @property
     def coarse(self) -> bool:
-        """Whether a channel's converter leans: its noise does not blur its steps."""
-        return any(converter.lean > LEANS for converter in self.converters)
+        """Whether a channel's converter should lean: its noise does not blur its steps."""
+        return any(converter.expected > LEANS for converter in self.converters)
 
     def holding(self, held: tuple[bool, bool, bool]) -> "Run":
         """With voltage, load torque and ambient holding between samples, or running linearly, each."""
@@ -213,12 +213,22 @@ class Run:
         return f"{self.name}: {told} lie at the end of the converter's range; they were left out."
 
     def leaning(self, truth: Array) -> "Run":
-        """With its converters' lean towards their levels improved by what a fit (N, C) leaves."""
-        found = [
-            leaning(converter, truth[self.valid, k], (self.measured - truth)[self.valid, k])
-            for k, converter in enumerate(self.converters)
-        ]
-        return replace(self, converters=tuple(found))
+        """With its converters' lean towards their levels as what a fit (N, C) leaves tells; itself if none has a converter.
+
+        What is known of a reading's error does not last.
+        """
+        if not any(converter.step for converter in self.converters):
+            return self
+        errors, found = dict(self.converter_errors), []
+        for k, (channel, converter) in enumerate(zip(self.channels, self.converters, strict=True)):
+            one = leaning(converter, truth[self.valid, k], (self.measured - truth)[self.valid, k])
+            lasts = lasting_error(self.measured[:, k], one.step, one.lean, ~self.rests)
+            found.append(one)
+            errors.pop(channel, None)
+            if lasts is not None:
+                errors[channel] = lasts
+        unmoved = self.unmoved or self
+        return replace(self, converters=tuple(found), converter_errors=errors, unmoved=unmoved)
 
     def part(self, rows: slice, file: MotorFile) -> "Run":
         """Some consecutive samples as a run of its own, as they are: none is averaged with another."""
@@ -308,9 +318,10 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             hung[channel] = (first, last)
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
         converter = converter_of(y, tells)
-        white, lasts = converter_error(measured[:, k], converter.step, converter.lean, tells)
+        lasts = lasting_error(measured[:, k], converter.step, tells=tells)
         converters.append(converter)
-        quantum[k] = np.sqrt(white)
+        # Where in its step a reading lies no prediction tells that is off by a part of one.
+        quantum[k] = converter.step / np.sqrt(12)
         if lasts is not None:
             errors[channel] = lasts
         floor[k] = max(quantum[k], 1e-4 * spread, 1e-9) / np.sqrt(every)
@@ -333,7 +344,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     coarse_inputs = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
     shown = {"voltage": inputs.voltage_V, "load_torque": inputs.load_torque_Nm}
     for (name, y), step in zip(shown.items(), coarse_inputs, strict=True):
-        lasts = converter_error(y, step, tells=tells)[1]
+        lasts = lasting_error(y, step, tells=tells)
         if lasts is not None:
             errors[name] = lasts
     exact = {
