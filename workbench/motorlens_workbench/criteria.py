@@ -33,7 +33,7 @@ class Criteria:
             it wins at most in those 60 worlds.
     """
 
-    excess: float = 16.0
+    excess: float = 10.0
     colour: float = 0.0005
     unnamed_colour: float = 0.25
     doubt: float = 0.2

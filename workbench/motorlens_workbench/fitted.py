@@ -81,7 +81,6 @@ class Accepted:
         gain: twice the fall of the negative log likelihood as it entered, over the scatter.
         scatter: of its size between blocks of time, as seen from the model that has it.
         weight: minus the logarithm of the probability of as much by chance.
-        doubt: that the correction for noise of the inputs leaves, in units of the scatter.
         agreed: squared ratio to which blocks of time agree on it, where that told more than Wald's test; else 0.
         beside: other names with which the motor was estimated as well, and the logarithm of how much less likely each is, as
             far as blocks of time agree on that.
@@ -91,6 +90,5 @@ class Accepted:
     gain: float
     scatter: float
     weight: float
-    doubt: float
     agreed: float = 0.0
     beside: Mapping[str, float] = field(default_factory=dict)

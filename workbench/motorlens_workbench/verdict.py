@@ -11,7 +11,7 @@ from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.needed import follows, needed_weight
-from motorlens_workbench.contest.worth import own_score
+from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import CRITERIA, INTERVAL
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import fitted_errors, times_noise
@@ -125,7 +125,7 @@ def _holds(found: Finding, one: Accepted) -> bool:
     """
     last = found.outcome.last
     seen = own_score(last.plain, last.fitted, one.hypothesis)
-    told = seen.gain / (seen.scatter + one.doubt) if seen else 0.0
+    told = seen.gain / (seen.scatter + own_doubt(last, seen, one.hypothesis)) if seen else 0.0
     only_size = len(_parameters(found, one)) == 1
     return max(told, one.agreed) > INTERVAL**2 and (not only_size or _told_alone(found, one))
 
@@ -258,7 +258,7 @@ def of_key(found: Finding, one: Accepted, key: str) -> tuple[float, float]:
     keys = list(last.fitted.prior.keys)
     # The fit's covariance takes the noise as white: so does what it scatters by.
     seen = own_score(last.plain, last.fitted, one.hypothesis)
-    scatter = (seen.scatter if seen else one.scatter) + one.doubt
+    scatter = seen.scatter + own_doubt(last, seen, one.hypothesis) if seen else one.scatter
     variance = float(last.fitted.covariance[keys.index(key), keys.index(key)])
     value, sd = last.fitted.model.values()[key], float(np.sqrt(max(variance, 0.0) * scatter))
     if key == one.hypothesis.key and one.agreed > 0:

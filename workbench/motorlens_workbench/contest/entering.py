@@ -227,7 +227,6 @@ def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect
         score.gain / score.scatter,
         score.scatter,
         score.weight,
-        one.doubt,
         told.agreed,
     )
     return Step(then, entered, judged=judged, unlikely=unlikely)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_workbench.contest.needed import needed_weight
-from motorlens_workbench.evidence.ledger import Ledger
-from motorlens_workbench.evidence.score import Score, log_chance
+from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger
+from motorlens_workbench.evidence.score import Entry, Score, log_chance
 from motorlens_workbench.fitted import Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, without_hypothesis
@@ -22,14 +22,33 @@ Array = NDArray[np.float64]
 
 def own_score(book: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:
     """What an accepted hypothesis explains, seen from the model that has it (Wald's test); None where it is not told."""
-    key = hypothesis.key
-    if key not in book.keys:
+    if hypothesis.key not in book.keys:
         return None
+    beside, entry = _own(book, fitted, hypothesis)
+    return beside.score(entry)
+
+
+def _own(book: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> tuple[Beside, Entry]:
+    """The sums without an accepted hypothesis, and its own."""
+    key = hypothesis.key
     null = fitted.model.file.meaning(key).null or 0.0
     size = (fitted.model.values()[key] - null) / fitted.prior.sd[key]
     others = [other for other in book.keys if not other.startswith(f"{hypothesis.name}.")]
     free = replace(hypothesis, kind="unnamed", typical=float("inf"))
-    return book.beside(others, {key: size}).score(book.entry_of(key, free, hypothesis.shapes[0]))
+    return book.beside(others, {key: size}), book.entry_of(key, free, hypothesis.shapes[0])
+
+
+def own_doubt(last: Standing, score: Score, hypothesis: Hypothesis) -> float:
+    """The doubt of an accepted hypothesis, seen from the model that has it; see `evidence.look`, `Look.doubted`.
+
+    Args:
+        last: where the contest has ended.
+        score: of the hypothesis, by `own_score` of its plain sums.
+        hypothesis: which.
+    """
+    bare = ledger(last.uncorrected, Lens(last.noises, plain=True), last.fitted.prior, ())
+    there, here = (_own(book, last.fitted, hypothesis) for book in (bare, last.plain))
+    return score.doubt_of(*(beside.projected([entry])[0][0].sum(axis=0) for beside, entry in (there, here)))
 
 
 def held_score(book: Ledger, plain: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:

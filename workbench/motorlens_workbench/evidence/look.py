@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.prior import Prior
-from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers, with_entries
 from motorlens_workbench.evidence.score import Entry, Score
 from motorlens_workbench.hypotheses.changes import changes
@@ -72,9 +71,7 @@ class Look:
         beside, doubted = book.beside(), []
         for score, entry in zip(scores, entries, strict=True):
             there, here = beside.projected([entry])[0][0], self.beside.projected([score.entry])[0][0]
-            moved = there.sum(axis=0) - here.sum(axis=0)
-            doubt = CRITERIA.doubt**2 * float(moved @ score.inverse @ moved) / score.width
-            doubted.append(score.doubted(doubt))
+            doubted.append(score.doubted(score.doubt_of(there.sum(axis=0), here.sum(axis=0))))
         return doubted
 
     def entries(

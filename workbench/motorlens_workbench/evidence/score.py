@@ -63,6 +63,16 @@ class Score:
     inverse: Array
     doubt: float = 0.0
 
+    def doubt_of(self, uncorrected: Array, corrected: Array) -> float:
+        """What the correction for noise of the inputs leaves in doubt, in units of the scatter.
+
+        Args:
+            uncorrected: (k,) sum of its blocks' scores along the inputs as measured.
+            corrected: (k,) the same along the corrected ones.
+        """
+        moved = uncorrected - corrected
+        return CRITERIA.doubt**2 * float(moved @ self.inverse @ moved) / self.width
+
     def doubted(self, doubt: float) -> "Score":
         """With more scatter: what makes the score besides noise and what is missing."""
         scatter = self.scatter + doubt
