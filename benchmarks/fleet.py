@@ -24,7 +24,7 @@ from fleet_studies.kills import killed  # noqa: E402
 from fleet_studies.new_motor import new_motor  # noqa: E402
 from fleet_studies.population import population, told_apart  # noqa: E402
 from fleet_studies.rate import queue, simulated  # noqa: E402
-from fleet_studies.regbot import regbot  # noqa: E402
+from fleet_studies.regbot import regbot, regbot_crossed  # noqa: E402
 
 
 def main() -> None:
@@ -56,6 +56,7 @@ def main() -> None:
         "queue": lambda place: queue(tasks(), 0.5),
         "simulated": lambda place: simulated(1000, a.seed),
         "regbot": lambda place: regbot(place, a.workers),
+        "regbot_crossed": lambda place: regbot_crossed(place, a.workers),
     }
     parser.add_argument("--only", nargs="+", choices=studies, default=list(studies), help="some of it")
     a = parser.parse_args()

@@ -158,14 +158,14 @@ def test_a_spread_that_one_recording_a_motor_tells_is_between_motors():
     assert found.likely[0, 0] == pytest.approx(np.hypot(found.omega[0], found.sd[0, 0]))
 
 
-def one_parameter(motors, spread, noise, seed):
+def one_parameter(motors, spread, noise, seed, known=100.0):
     """Motors of one recording each that tells one parameter, and what is true of them."""
     rng = np.random.default_rng(seed)
     truth = spread * rng.standard_normal(motors)
     shown = truth + noise * rng.standard_normal(motors)
     data = Data(
         np.full((motors, 1, 1), noise**-2), shown[:, None] / noise**2, np.arange(motors), motors,
-        np.array([100.0]), np.ones(motors, dtype=bool),
+        np.array([known]), np.ones(motors, dtype=bool),
     )  # fmt: skip
     return data, shown, truth
 
@@ -187,6 +187,26 @@ def test_a_spread_that_is_not_told_is_reckoned_with_as_its_posterior_says(seed):
         quad(f, 0.0, 1.0, points=[0.01], limit=200) for f in (density, lambda a: a * density(a))
     )
     assert found.likely[0, 0] == pytest.approx(np.sqrt(moment / mass), rel=0.03)
+
+
+@pytest.mark.parametrize("known", [0.02, 0.05, 0.1])
+def test_a_spread_that_is_not_told_is_within_what_was_known_beforehand(known):
+    """By quadrature over the variance, up to that of the parameter itself; the mean about as far as was known."""
+    motors, noise = 6, 0.1
+    data, shown, _ = one_parameter(motors, 0.0, noise, 2, known)
+    found = spreads(data)
+    assert found.omega[0] == 0
+
+    def density(between):
+        whole = (noise**2 + between) * np.eye(motors) + known**2
+        return np.exp(-0.5 * (shown @ np.linalg.solve(whole, shown) + np.linalg.slogdet(whole)[1]))
+
+    grid = np.linspace(0.0, known**2, 801)
+    weight = np.array([density(between) for between in grid])
+    # Thirteen sizes for the whole range. A spread of any size, then held to what was known, comes out as all of that.
+    ratio = found.likely[0, 0] / np.sqrt(weight @ grid / weight.sum())
+    assert 0.97 < ratio < 1.1, ratio
+    assert found.likely[0, 0] < 0.78 * known
 
 
 def test_intervals_hold_where_the_spread_is_not_told():

@@ -7,8 +7,10 @@ import pytest
 from helpers.drawn_fleet import BROKEN, DRAGS, KEYS, MAKE, MOTORS, SINCE, drawn
 
 from motorlens_physics.motor_file import read_motor_file
+from motorlens_workbench.fleet.directions import Observation
 from motorlens_workbench.fleet.history import histories
 from motorlens_workbench.fleet.population import population
+from motorlens_workbench.fleet.summary import Parabola
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +38,10 @@ def test_the_make_is_recovered(plain):
     actual, spread = np.std(truth[others], axis=0, ddof=1), found.spreads.omega * found.scale.size
     np.testing.assert_allclose(spread[:2], actual[:2], rtol=0.05)
     assert spread[2] == pytest.approx(0.15 * MAKE[2], abs=3 * found.spreads.sd[0, 2] * found.scale.size[2])
-    # What no recording tells stays what the motor file says, and is not said to spread.
+    # What no recording tells stays what the motor file says, of each motor too, and is not said to spread.
     assert sd[3] == pytest.approx(0.43, rel=0.05)
     assert found.spreads.omega[3] == 0
+    np.testing.assert_allclose(found.of_motors()[1][:, 3], 0.43, rtol=0.001)
 
 
 def test_intervals_of_motors_cover_and_borrow(plain):
@@ -52,6 +55,43 @@ def test_intervals_of_motors_cover_and_borrow(plain):
     # b is poorly told by a recording: the others help; R is not.
     assert np.median(sd[others, 2] / alone[others, 2]) < 0.85
     assert np.median(sd[others, 0] / alone[others, 0]) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0, 3.0])
+def test_a_motor_is_known_as_the_whole_posterior_says_where_no_spread_is_told(file, noise):
+    """Beside it by quadrature over the spread: a motor is off by 1 at most beforehand, its make by what is left of that."""
+    motors, known = 6, file.knowledge["k0"].sd
+    at, ratios = file.motor.k0, []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        truth = np.sqrt(0.5) * (rng.standard_normal() + rng.standard_normal(motors))
+        shown = truth + noise * rng.standard_normal(motors)
+        observations = [
+            Observation(f"m{m}", f"m{m}.csv", None, Parabola(
+                ("k0",), np.array([at]), np.array([y / noise**2 / known]), np.array([[(noise * known) ** -2]]),
+            ))
+            for m, y in enumerate(shown)
+        ]  # fmt: skip
+        found = population(file, observations)
+        if found.spreads.omega[0] > 0:
+            continue
+        logs, means, squares = [], [], []
+        for between in np.linspace(0.0, 1.0, 401)[1:-1]:
+            before = between * np.eye(motors) + (1 - between)
+            whole = before + noise**2 * np.eye(motors)
+            gain = before @ np.linalg.inv(whole)
+            logs.append(-0.5 * (shown @ np.linalg.solve(whole, shown) + np.linalg.slogdet(whole)[1]))
+            means.append(gain @ shown)
+            squares.append(np.diagonal(before - gain @ before) + means[-1] ** 2)
+        weight = np.exp(np.array(logs) - max(logs))
+        weight /= weight.sum()
+        expected = np.sqrt(weight @ np.array(squares) - (weight @ np.array(means)) ** 2)
+        ratios.append(found.of_motors()[1][:, 0] / known / expected)
+        # None is known less for being one of a make.
+        assert np.all(found.of_motors()[1] <= 1.001 * found.alone()[1])
+    assert len(ratios) > 3
+    # Not too narrow; with a mean that is off by all that was known of a motor, and a motor by as much again, up to 1.32.
+    assert 0.95 < np.mean(ratios) < 1.13, np.mean(ratios)
 
 
 def test_the_odd_ones_and_what_is_odd_about_them(plain):

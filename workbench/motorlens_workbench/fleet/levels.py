@@ -204,7 +204,8 @@ class Spreads:
     Attributes:
         omega, psi: (k,) between motors, and between recordings of one motor.
         sd: (2, k) standard deviations of both.
-        likely: (2, k) root mean square, of those that do not help too, see `_reckoned`: what is to be reckoned with.
+        likely: (2, k) root mean square, of those that do not help too, see `_reckoned`: what is to be reckoned with. One
+            that does not help is within what was known of its parameter beforehand.
     """
 
     omega: Array
@@ -235,7 +236,9 @@ def spreads(data: Data) -> Spreads:
         on, at[weakest] = on & ~weakest, 0.0
         at = _likeliest(model, on, at)
     sd = _deviations(data, on, at)
-    likely = np.where(on, np.hypot(at, np.nan_to_num(sd)), _reckoned(model, allowed & ~on, at))
+    likely = np.where(
+        on, np.hypot(at, np.nan_to_num(sd)), _reckoned(model, allowed & ~on, at, np.minimum(data.known, 1.0))
+    )
     return Spreads(at[0], at[1], sd, likely)
 
 
@@ -256,7 +259,7 @@ def led_away(data: Data, motor: Array, sd: Array) -> Array:
         return solve(about, sd, psi)
 
     at = _likeliest(model, on, np.where(on, 0.1, 0.0))
-    return np.asarray(_reckoned(model, on, at)[1])
+    return np.asarray(_reckoned(model, on, at, np.full(len(data.known), MOST))[1])
 
 
 def _gains(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
@@ -322,8 +325,11 @@ def _deviations(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
     return out
 
 
-def _reckoned(model: Model, asked: NDArray[np.bool_], at: Array) -> Array:
+def _reckoned(model: Model, asked: NDArray[np.bool_], at: Array, most: Array) -> Array:
     """Root mean square of each spread that is asked for, over its profile likelihood and an even prior of its square.
+
+    Up to `most`, (k,): of one that is not told, what was known of the parameter itself beforehand. Were larger ones taken
+    for possible and only the result held to that, motors of one make would be said to differ by all of it.
 
     The others are the likeliest beside each size of it. As they were without it, they stand for what motors truly differ by
     in it wherever recordings tell two parameters together, and the more motors there are, the surer it seems to be small.
@@ -334,12 +340,12 @@ def _reckoned(model: Model, asked: NDArray[np.bool_], at: Array) -> Array:
     for row, k in np.argwhere(asked):
         logs, beside, on = [], at.copy(), at > 0
         on[row, k] = False
-        # One that is at none, for all that is told, is not beyond the parameter itself.
-        grid = np.geomspace(1e-3, MOST if at[row, k] else 1.0, 13)
+        grid = np.geomspace(min(1e-3, 0.1 * most[k]), most[k], 13)
         for size in grid:
             beside[row, k] = size
             beside = _likeliest(model, on, beside)
             logs.append(model(*beside).evidence)
         weight = np.exp(np.array(logs) - max(logs)) * grid**2  # the grid is even in the logarithm
+        weight[[0, -1]] *= 0.5
         out[row, k] = np.sqrt(np.sum(weight * grid**2) / np.sum(weight))
     return out

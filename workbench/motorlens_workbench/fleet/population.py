@@ -55,7 +55,8 @@ class Population:
         wide: their parabolas on the scale, candidates included.
         data: the same in the free parameters.
         spreads: between motors, and between recordings of one motor.
-        solved: the model with all motors, at the mean of those that belong.
+        solved: the model with all motors, at the mean of those that belong; motors as of a make that together with them is
+            off by what was known beforehand, see `_of_motors`.
         belongs: (M,) whether a motor took part in the estimate of the mean and the spreads.
         lacks: an effect of the make that the motor file lacks; None if none shows.
         differences: (M,) by what each motor differs, the most telling first; empty for one like the others.
@@ -158,7 +159,7 @@ def population(file: MotorFile, observations: Sequence[Observation]) -> Populati
         if 2 * np.count_nonzero(like) <= len(motors) or np.all(like == belongs):
             break
         belongs = like
-    solved = solve(data, _strangers(between, known, data.belongs), estimated.psi)
+    solved = _of_motors(data, estimated, between)
     return Population(
         file, keys, scale, known, motors, tuple(observations), wide, data, estimated, solved, data.belongs,
         make_effect(wide, data, estimated.psi), differences(wide, off), surprise(off.gains()),
@@ -187,6 +188,19 @@ def _between(found: Spreads, known: Array) -> Array:
     return np.asarray(np.minimum(found.likely[0], np.maximum(found.omega, known)))
 
 
-def _strangers(between: Array, known: Array, belongs: NDArray[np.bool_]) -> Array:
-    """(M, k) spreads by motor: one that is not like the others may be anything that was possible beforehand."""
-    return np.where(belongs[:, None], between, np.maximum(between, known))
+def _of_motors(data: Data, found: Spreads, between: Array) -> Solved:
+    """The mean, and all motors about it.
+
+    What was known beforehand was known of a motor, which is off with its make and by itself. Were both as wide as that, a
+    motor of which recordings tell nothing would be known less for being one of a make. Of the mean alone it is all that is
+    known, whatever a spread that is not told may be. A spread that is told is narrower by far, or shows that what was said
+    to be known was not so.
+    """
+    make, known = solve(data, between, found.psi), data.known
+    left = np.sqrt(np.maximum(known**2 - between**2, 0.0))
+    about = replace(data, known=np.where(found.omega > 0, known, left))
+    off = np.diagonal(solve(about, between, found.psi).covariance)
+    # One that is not like the others may be anything that was possible beforehand.
+    stranger = np.maximum(between, np.sqrt(np.maximum(known**2 - off, 0.0)))
+    each = solve(about, np.where(data.belongs[:, None], between, stranger), found.psi)
+    return replace(each, mean=make.mean, covariance=make.covariance, motor=each.mean + each.motor - make.mean)
