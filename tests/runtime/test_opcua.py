@@ -120,10 +120,14 @@ def test_a_port_that_is_taken_and_options_that_are_not_known(publisher):
         open_publisher("opcua://127.0.0.1:1?devise=x", HEADER)
 
 
-@pytest.mark.fit
 def test_a_server_that_does_not_start_is_said_in_words(monkeypatch):
     """Its error has none of its own: `str(TimeoutError())` is empty."""
-    monkeypatch.setattr("motorlens_runtime.publish.opcua._START_S", 0.0)
+
+    async def waits(self):
+        await asyncio.sleep(LIMIT_S)
+
+    monkeypatch.setattr("motorlens_runtime.publish.opcua.OpcUaPublisher._start", waits)
+    monkeypatch.setattr("motorlens_runtime.publish.opcua._START_S", 0.1)
     place = free_place()
-    with pytest.raises(DeviceError, match=rf"{place}/motorlens: the server did not start within 0 s; "):
+    with pytest.raises(DeviceError, match=rf"{place}/motorlens: the server did not start within 0\.1 s; "):
         open_publisher(f"opcua://{place}", HEADER)
