@@ -5,6 +5,7 @@ without a mark has used is measured, and those that belong elsewhere are listed 
 """
 
 import ctypes
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -67,6 +68,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items[:] = [item for share in shares for item in share]
 
 
+def pytest_collection_finish() -> None:
+    """What all tests have imported stays: looking through it took the collector a quarter of a second and more, at each
+    `motorlens run` anew, which collects before it begins."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
     """Note what the fixtures of a test have used that no test before has made."""
@@ -83,6 +91,8 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
     """Note what was used until all that a test has started had ended."""
     yield from _measured(item, "teardown")
+    if not gc.get_freeze_count():
+        gc.freeze()  # a `motorlens run` has let go of all
 
 
 def _measured(item: pytest.Item, phase: str) -> Iterator[None]:
