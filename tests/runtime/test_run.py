@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import pytest
+from helpers.clocks import Standing
 from helpers.ports import free_place
 from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually, ran
 from helpers.sensor_files import write_sensor
@@ -48,20 +49,6 @@ def report():
 def lines(path):
     with open(path) as file:
         return file.read().splitlines()
-
-
-class Standing:
-    """A clock that stands still: by it no line is late or silent.
-
-    The device is a thread of the same process, which a busy machine may hold up for long; that would be said, rightly, by a
-    row more or a bit in a row.
-    """
-
-    process_time = staticmethod(time.process_time)
-
-    @staticmethod
-    def monotonic_ns():
-        return 0
 
 
 def estimates(path):
