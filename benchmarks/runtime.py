@@ -245,6 +245,8 @@ class Frames:
     `taken_ns` is the processor time of each, from the bytes to when the estimate was handed out.
     """
 
+    live = True
+
     def __init__(self, rate_Hz: int, n: int, cold: bool) -> None:
         channels = tuple(
             Channel(name, unit, scale=0.1) for name, unit in (("voltage", "V"), ("current", "A"))

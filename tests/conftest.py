@@ -5,12 +5,14 @@ without a mark has used is measured, and those that belong elsewhere are listed 
 """
 
 import ctypes
+import gc
 import os
 import sys
 from collections.abc import Iterator
 
 import psutil
 import pytest
+from helpers.dealing import TIERS, dealt
 from helpers.machine_code import share
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
@@ -29,7 +31,6 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 _LASTING = ("multiprocessing.resource_tracker", "multiprocessing.forkserver")
 # A program that has been told to end may need a moment on a busy machine.
 _GRACE_S = 60.0
-_TIERS = {"fit", "blind"}
 # A test of the quick tier uses half a second; a first compilation or import may fall on anyone.
 _QUICK_S = 2.0
 _costly: dict[str, float] = {}
@@ -62,9 +63,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with a blind case go first: the longest test, begun last, would leave the other workers without work."""
-    long = {item.path for item in items if item.get_closest_marker("blind")}
-    items.sort(key=lambda item: item.path not in long)
+    """Deal the tests out, so that each worker begins with its share of what is long: the rest fills the gaps at the end."""
+    shares = dealt(items, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+    items[:] = [item for share in shares for item in share]
+
+
+def pytest_collection_finish() -> None:
+    """What all tests have imported stays: looking through it took the collector a quarter of a second and more, at each
+    `motorlens run` anew, which collects before it begins."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -83,6 +91,8 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
     """Note what was used until all that a test has started had ended."""
     yield from _measured(item, "teardown")
+    if not gc.get_freeze_count():
+        gc.freeze()  # a `motorlens run` has let go of all
 
 
 def _measured(item: pytest.Item, phase: str) -> Iterator[None]:
@@ -94,7 +104,7 @@ def _measured(item: pytest.Item, phase: str) -> Iterator[None]:
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     used = {name: value for name, value in report.user_properties if isinstance(value, float)}
     call_s = used.get("call_s", 0.0)
-    if report.when == "call" and call_s > _QUICK_S and not _TIERS & set(report.keywords):
+    if report.when == "call" and call_s > _QUICK_S and not set(TIERS) & set(report.keywords):
         _costly[report.nodeid] = call_s
     file = report.nodeid.partition("::")[0]
     used_s, lasted_s = _by_file.get(file, (0.0, 0.0))

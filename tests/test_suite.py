@@ -8,6 +8,7 @@ from pathlib import Path
 from subprocess import PIPE
 
 import pytest
+from helpers.dealing import dealt
 from helpers.processes import LIMIT_S, Program
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -150,6 +151,39 @@ def test_what_workers_and_their_programs_need_at_the_same_time_is_compiled_once(
     assert [result for (result, _), _ in told] == ["28.0", "28.0"]
     assert sorted(int(count) for (_, count), _ in told) == [0, 2]
     assert [by_a_program for _, by_a_program in told] == ["0", "0"]
+
+
+class Item:
+    """As much of a test as `dealt` looks at."""
+
+    def __init__(self, path: str, number: int, mark: str | None = None) -> None:
+        self.path, self.number, self._mark = path, number, mark
+
+    def get_closest_marker(self, name: str) -> bool:
+        return name == self._mark
+
+
+def test_each_worker_begins_with_its_share_of_what_is_long_and_files_stay_together() -> None:
+    items = [Item("blind.py", k, "blind") for k in range(7)]
+    for name, fits in (("a", 30), ("b", 20), ("c", 12), ("d", 0), ("e", 0)):
+        items += [Item(f"{name}.py", k, "fit" if k < fits else None) for k in range(40)]
+    shares = dealt(items, 3)  # type: ignore[arg-type]
+    # What pytest-xdist sends to each: 207 tests over three, over two, over one.
+    assert [len(share) for share in shares] == [69, 69, 69]
+    assert {id(item) for share in shares for item in share} == {id(item) for item in items}
+    blind = [[item.number for item in share if item.path == "blind.py"] for share in shares]
+    assert sorted(map(len, blind)) == [2, 2, 3]
+    assert all(
+        share[k].path == "blind.py"
+        for share, cases in zip(shares, blind, strict=True)
+        for k in range(len(cases))
+    )
+    fits = [[item.path for item in share if item.get_closest_marker("fit")] for share in shares]
+    assert sorted(map(len, fits)) == [12, 20, 30]
+    for share in shares:
+        for path in {item.path for item in share} - {"blind.py", "d.py", "e.py"}:
+            assert [item.number for item in share if item.path == path] == list(range(40))
+    assert [item.path for item in dealt(items, 1)[0]][:7] == ["blind.py"] * 7  # type: ignore[arg-type]
 
 
 def _is_sleep(statement: ast.stmt) -> bool:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import venv
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,12 @@ from helpers.processes import Program
 from helpers.sensor_files import write_sensor
 
 ROOT = Path(__file__).resolve().parents[1]
+# Folders of the checkout, and where they are in the wheel.
+PACKAGES = {
+    **{f"{folder}/motorlens_{folder}/": f"motorlens_{folder}/"
+       for folder in ("physics", "train", "runtime", "firmware_sim", "workbench")},
+    "models/": "motorlens_runtime/models/", "runtime/core/": "motorlens_runtime/core/",
+}  # fmt: skip
 HEAVY = ("torch", "scipy", "sympy", "numba", "pandas", "matplotlib", "onnx")
 
 # Runs in the clean environment: infers, then says what is installed and what was imported.
@@ -83,13 +90,29 @@ def test_the_installed_wheel_brings_its_models_and_works_in_an_empty_folder(tmp_
         in subprocess.run(where, env=clean, capture_output=True, text=True, check=True, timeout=600).stdout
     )
     run("simulate", "mellah2016", "--scenario", "load_steps", "--noise", "0.2%", "-o", "bench.csv")
-    assert "speed" in run("compare", "bench.csv", "--motor", "mellah2016")
+    assert "speed" in run("look", "bench.csv")
     run("infer", "bench.csv", "--sensor", "mellah2016", "-o", "estimates.csv")
     rows = (empty / "bench.csv").read_text().count("\n")
     assert (empty / "estimates.csv").read_text().count("\n") == rows
     drive = [motorlens, "drive", "--duration", "1"]
     with Program(drive, cwd=empty, env=clean) as program:
         assert program.line().startswith("/dev/"), program.told()
+
+
+@pytest.mark.fit
+def test_all_that_stands_in_the_packages_is_in_the_wheel(wheel):
+    """Every command works there as it does here: modules, what the pages need, models and the sources in C."""
+    kept = subprocess.run(
+        ["git", "ls-files", *PACKAGES], cwd=ROOT, capture_output=True, text=True, timeout=600
+    )
+    if kept.returncode:
+        pytest.skip("no checkout, whose list of files tells what was meant")
+    expected = {
+        next(path.replace(folder, place, 1) for folder, place in PACKAGES.items() if path.startswith(folder))
+        for path in kept.stdout.splitlines()
+    }
+    with zipfile.ZipFile(wheel) as archive:
+        assert len(expected) > 400 and expected <= set(archive.namelist())
 
 
 @pytest.mark.fit

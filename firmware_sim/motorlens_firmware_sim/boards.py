@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from motorlens_runtime.errors import DataError
+from motorlens_runtime.sensor.core_library import CALL_S, why_not
 
 FOLDER = Path(__file__).resolve().parents[1] / "boards"
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
-_RUN_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def compile_for(board: Board, sources: list[Path], target: Path, defines: tuple[
     """Compile `sources` with the start-up code into `target`; a map file beside it says what takes which room.
 
     Raises:
-        DataError: it does not compile; the message is the compiler's first error.
+        DataError: it does not compile, and then the message is the compiler's first error; or the compiler does not end.
     """
     sources = [FOLDER / "board.c", *sources]
     machine = (COMPILER, *board.flags, "-mthumb")
@@ -88,7 +88,10 @@ def compile_for(board: Board, sources: list[Path], target: Path, defines: tuple[
         *(f"{source.stem}.o" for source in sources), "-lm",
     ]  # fmt: skip
     for command in (compiling, linking):
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_RUN_S, cwd=target.parent)
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=CALL_S, cwd=target.parent)
+        except subprocess.TimeoutExpired as error:
+            raise DataError(f"{board.name}: {why_not(error)}") from None
         if done.returncode:
             raise DataError(f"{board.name}: {' '.join(done.stderr.split())[:400]}")
     return target
@@ -107,10 +110,10 @@ def run_on(board: Board, program: Path) -> str:
     """What a program prints. Raises DataError if it faults or does not end."""
     try:
         done = subprocess.run(
-            emulator_command(board, program), capture_output=True, text=True, timeout=_RUN_S, stdin=subprocess.DEVNULL
+            emulator_command(board, program), capture_output=True, text=True, timeout=CALL_S, stdin=subprocess.DEVNULL
         )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        raise DataError(f"{board.name}: the program did not end in {_RUN_S:g} s") from None
+    except subprocess.TimeoutExpired as error:
+        raise DataError(f"{board.name}: {why_not(error)}") from None
     if done.returncode or "fault" in done.stdout:
         raise DataError(f"{board.name}: ended with {done.returncode}: {(done.stdout + done.stderr)[-200:]}")
     return done.stdout

@@ -21,7 +21,8 @@ from motorlens_runtime.errors import DataError
 from motorlens_runtime.line.framing import Channel, Hello
 
 ROWS = 8  # samples in a frame, as in drive.c
-_START_S = 20.0
+# Ends the wait for an emulator that hangs.
+_START_S = 300.0
 
 
 class OnBoard:
@@ -104,8 +105,12 @@ class OnBoard:
                 return line
             except OSError:
                 line.close()
-                if time.monotonic() > end or self._emulator.poll() is not None:
-                    raise DataError("the emulator of the board does not start") from None
+                if (status := self._emulator.poll()) is not None:
+                    raise DataError(f"the emulator of the board ended with {status} as it started") from None
+                if time.monotonic() > end:
+                    raise DataError(
+                        f"the emulator of the board did not start within {_START_S:g} s"
+                    ) from None
                 time.sleep(0.02)
 
     def _listen(self) -> None:

@@ -1,9 +1,12 @@
 """A pseudo-terminal as the drive's serial port: to any program it is a serial device."""
 
 import errno
+import fcntl
 import os
 import pty
 import select
+import struct
+import termios
 import time
 import tty
 from collections.abc import Callable
@@ -11,6 +14,9 @@ from types import TracebackType
 from typing import Self
 
 from motorlens_runtime.errors import DeviceError
+
+# Who has had the port open for so long without flushing it reads what is there.
+_UNFLUSHED_S = 3.0
 
 
 class PtyPort:
@@ -27,6 +33,8 @@ class PtyPort:
         self._master, slave = pty.openpty()
         # Raw before anybody listens: the settings outlive the closing of this end, and echo must never come back.
         tty.setraw(slave)
+        # From here on, what happens at the other end is told (tty_ioctl(4), packet mode).
+        fcntl.ioctl(self._master, termios.TIOCPKT, struct.pack("i", 1))
         self.name = os.ttyname(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
@@ -61,10 +69,26 @@ class PtyPort:
         return not any(event & select.POLLHUP for _, event in poll.poll(0))
 
     def wait_for_reader(self, give_up: Callable[[], bool] = lambda: False) -> None:
-        """Return when somebody has opened the port, and has had time to flush it, as serial libraries do on opening."""
-        while not self.has_reader() and not give_up():
+        """Return when somebody has opened the port and flushed it, as serial libraries do on opening.
+
+        What was sent before would be lost, however long a busy machine takes from the one to the other.
+        """
+        opened_s: float | None = None
+        while not give_up() and not self._flushed():
+            if not self.has_reader():
+                opened_s = None
+            elif opened_s is None:
+                opened_s = time.monotonic()
+            elif time.monotonic() - opened_s > _UNFLUSHED_S:
+                return
             time.sleep(0.02)
-        time.sleep(0.3)
+
+    def _flushed(self) -> bool:
+        """Whether the other end has been flushed since this was asked before."""
+        try:
+            return bool(os.read(self._master, 1)[0] & termios.TIOCPKT_FLUSHREAD)
+        except OSError:  # nobody has it open, or nothing has happened
+            return False
 
     def write(self, data: bytes, patience_s: float) -> int:
         """Write what the line takes within `patience_s`; returns the number of bytes taken."""

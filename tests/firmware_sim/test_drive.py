@@ -1,9 +1,13 @@
 """The simulated drive: converter against arithmetic, telemetry against the receiver, faults against their own rates."""
 
 import math
+import termios
+import threading
+import time
 
 import numpy as np
 import pytest
+from helpers.processes import LIMIT_S
 
 from motorlens_firmware_sim.adc import Adc
 from motorlens_firmware_sim.faults import burst, drop_bytes, flip_bits, insert_bytes, repeat_bytes, swap_bytes
@@ -68,6 +72,35 @@ def test_saturation_is_flagged_in_its_frame_only() -> None:
     assert [bool(flag & Flag.RESTART) for flag in flags] == [
         k < 2 for k in range(8)
     ]  # the first second after boot
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.6])
+def test_nothing_is_sent_before_the_reader_has_flushed_the_port(
+    late_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As late as a busy machine makes it; what is sent then is all there."""
+    monkeypatch.setattr("motorlens_firmware_sim.port._UNFLUSHED_S", LIMIT_S)
+    with PtyPort() as port, open(port.name, "rb", buffering=0) as reader:
+
+        def flush() -> None:
+            time.sleep(late_s)
+            flushed.set()
+            termios.tcflush(reader, termios.TCIFLUSH)
+
+        flushed, thread = threading.Event(), threading.Thread(target=flush)
+        thread.start()
+        port.wait_for_reader()
+        assert flushed.is_set()
+        assert port.write(b"all of it", patience_s=LIMIT_S) == 9
+        assert reader.read(20) == b"all of it"
+        thread.join()
+
+
+def test_a_reader_that_does_not_flush_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("motorlens_firmware_sim.port._UNFLUSHED_S", 0.1)
+    with PtyPort() as port, open(port.name, "rb", buffering=0):
+        port.wait_for_reader()
+        assert port.has_reader()
 
 
 def test_a_port_carries_all_bytes_unchanged() -> None:

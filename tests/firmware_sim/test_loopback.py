@@ -72,8 +72,8 @@ def test_every_sample_is_accounted_for_and_live_equals_infer(tmp_path: Path, sen
         assert {k: v for k, v in x.items() if k != "quality"} == {
             k: v for k, v in y.items() if k != "quality"
         }
-        # The live run knows that the drive is simulated; the recording does not say so.
-        assert int(x["quality"]) == int(y["quality"]) | Quality.SIMULATED
+        # The live run knows that the drive is simulated, and may have been late; the recording says neither.
+        assert int(x["quality"]) & ~Quality.OVERLOAD == int(y["quality"]) | Quality.SIMULATED
     # The truth written beside it belongs to the same instants: the converter is right to half a step plus noise.
     truth = read_recording(tmp_path / "truth.csv")
     error = recorded.channels["voltage"] - truth.channels["voltage"]

@@ -133,14 +133,14 @@ class Program:
         except subprocess.TimeoutExpired:
             raise AssertionError(f"did not end within {seconds:g} s\n{self.told()}") from None
         for reader in self._readers:
-            reader.join(10.0)
+            reader.join(60.0)
         return status
 
     def kill(self) -> None:
         """End it and all it has started, at once."""
         with suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
-        self.ended(30.0)
+        self.ended()
 
     def __enter__(self) -> Self:
         return self

@@ -12,6 +12,7 @@ import time
 import tty
 
 import numpy as np
+from helpers.processes import LIMIT_S
 
 from motorlens_runtime.line.framing import Channel, Hello, hello_frames, samples_frame
 
@@ -115,7 +116,7 @@ class WireDevice:
         self.folder.cleanup()
         if self.thread.is_alive() and self.thread is not threading.current_thread():
             # Its number must not be given to another line while the thread may still write to it.
-            self.thread.join(10.0)
+            self.thread.join(LIMIT_S)
         if self.master >= 0:
             os.close(self.master)
             self.master = -1

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import plain_motor
-from helpers.hidden import draw, generate
+from helpers.hidden import draw, generate, known
 from helpers.plain_motor import RATED, TYPICAL
 from scipy.signal import lfilter
 
@@ -113,9 +113,8 @@ def test_coloured_noise_is_told_from_a_torque_that_nobody_measured(tmp_path: Pat
 @pytest.mark.fit
 def test_what_leaves_more_than_white_noise_is_none(tmp_path: Path) -> None:
     """A shaft with backlash: its errors last as long as noise does, but are no autoregression."""
-    drawn = draw("dev", 800, small=True)[61]
-    assert [name for name, _ in drawn.hidden] == ["shaft_backlash"]
-    world = generate(drawn, tmp_path)
+    world = known("dev-0061", tmp_path)
+    assert [hidden["name"] for hidden in world.truth["hidden"]] == ["shaft_backlash"]
     file = read_motor_file(world.motor)
     noise = estimate(file, prepare_all([read_recording(world.recordings[0])], file)).runs[0].noise
     assert noise is not None and len(noise.disturbances) == TORQUE + 1

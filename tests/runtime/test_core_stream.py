@@ -79,7 +79,7 @@ def wire(seed, quantities, frames=900):
 class Line:
     """A feed of these reads."""
 
-    down, device = None, "bench"
+    live, down, device = True, None, "bench"
 
     def __init__(self, reads, decoder, ambient_C):
         self.reads, self.decoder, self.ambient_C = iter(reads), decoder, ambient_C

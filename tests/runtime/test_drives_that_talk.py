@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.processes import LIMIT_S
 from helpers.sensor_files import write_sensor
 
 from motorlens_runtime.cli import main
@@ -93,7 +94,9 @@ def voltage_of(name):
 )
 @pytest.mark.fit
 def test_a_drive_that_must_be_asked_is_asked_and_followed(tmp_path, monkeypatch, answer, name, length, each):
-    """On a real line, where a busy machine decides how many answers come in time."""
+    """On a real line, where a busy machine decides how many answers come in time: it ends with the first sample that is
+    two seconds younger than the first of all, and there are the 32 at least that tell the rate."""
+    monkeypatch.setattr("motorlens_runtime.service.service._GRACE_NS", int(LIMIT_S * 1e9))
     monkeypatch.chdir(tmp_path)
     write_sensor("s.onnx", rate_Hz=100.0)
     drive = Drive(answer, length)
@@ -104,11 +107,11 @@ def test_a_drive_that_must_be_asked_is_asked_and_followed(tmp_path, monkeypatch,
     finally:
         drive.close()
     assert drive.misunderstood == 0
-    assert 0 < json.loads(Path("r.json").read_text())["samples"] <= drive.answers // each
+    assert 32 <= json.loads(Path("r.json").read_text())["samples"] <= drive.answers // each
     time_s, voltage, current, _ = np.loadtxt("rec.csv", delimiter=",", skiprows=1).T
     assert voltage == voltage_of(name)
     assert current == pytest.approx(3.0)
-    assert (np.diff(time_s) > 0).all()
+    assert (np.diff(time_s) > 0).all() and time_s[-1] - time_s[0] > 1.9
 
 
 class MadeUpTime:

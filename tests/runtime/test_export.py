@@ -15,6 +15,7 @@ from motorlens_firmware_sim import boards
 from motorlens_runtime.cli import main
 from motorlens_runtime.estimate.estimator import Estimator
 from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.sensor import core_library
 from motorlens_runtime.sensor.core_library import STRICT_FLAGS, compilers
 from motorlens_runtime.sensor.sensor import load_sensor, scales, tiled, untiled
 
@@ -65,6 +66,31 @@ def test_what_is_exported_compiles_strictly_and_gives_its_golden_values(name, pr
     )
     text = "\n".join(path.read_text() for path in sources(tmp_path / "c"))
     assert "malloc" not in text and "printf" not in text
+
+
+@pytest.mark.fit
+@needs_compiler
+@pytest.mark.parametrize("talkative", [False, True])
+def test_a_compiler_that_does_not_end_is_said_in_one_line(talkative, tmp_path, monkeypatch, capsys):
+    """One of a tenth of a second's patience, silent or not; what it has said by then is no text but bytes."""
+    stuck = tmp_path / "stuck-cc"
+    stuck.write_text(f"#!/bin/sh\n{'echo warning >&2' if talkative else ''}\nexec sleep 1000\n")
+    stuck.chmod(0o755)
+    monkeypatch.setattr("motorlens_runtime.sensor.export.compilers", lambda: [str(stuck)])
+    monkeypatch.setattr("motorlens_runtime.sensor.export.CALL_S", 0.1)
+    assert main(["export", str(SHIPPED / "mellah2016.onnx"), "--c", str(tmp_path / "c")]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and not (tmp_path / "c").exists()
+    said = "the exported sensor was not checked and not written: stuck-cc did not end within 0.1 s; is this PC busy"
+    assert said in lines[0]
+    monkeypatch.setattr("motorlens_runtime.sensor.core_library.compilers", lambda: [str(stuck)])
+    monkeypatch.setattr("motorlens_runtime.sensor.core_library.CALL_S", 0.1)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("MOTORLENS_CORE", raising=False)
+    core_library._core.cache_clear()
+    reason = core_library.core().reason
+    core_library._core.cache_clear()
+    assert reason.startswith("it does not compile here: stuck-cc did not end within 0.1 s")
 
 
 @pytest.mark.fit

@@ -22,7 +22,7 @@ SPOKEN_S, SILENT_S, SPOKEN_AGAIN_S = 1.0, 10.0, 2.0
 class Line:
     """A feed of blocks of 50 ms; each read moves the clock by as much."""
 
-    period_s, device, decoder, ambient_C = 1 / RATE_HZ, "bench", None, None
+    live, period_s, device, decoder, ambient_C = True, 1 / RATE_HZ, "bench", None, None
 
     def __init__(self):
         self.now_ns = self.arrival_ns = 0
@@ -125,6 +125,36 @@ def test_voltage_and_current_go_along_while_they_come(page):
         else:
             k = (time_ns // 1_000_000 - 1) % BLOCK
             assert pair == [100 + k / 8, 8.0]
+
+
+class Starved(Line):
+    """A line that speaks on; but after each block, and after each look at which there was nothing yet, this process waits
+    a second for a processor."""
+
+    def __init__(self):
+        super().__init__()
+        self.looks = 0
+
+    def read(self, timeout_s):
+        self.looks += 1
+        if self.looks % 2:
+            self.now_ns += 1_000_000_000
+            return Samples(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+        if self.looks > 20:
+            return None
+        self.arrival_ns = self.now_ns
+        time_ns = self.now_ns + (np.arange(1000) - 999) * 1_000_000
+        return Samples(time_ns, 100 + np.arange(1000) / 8, np.full(1000, 8.0))
+
+
+def test_a_process_that_waits_for_a_processor_does_not_take_that_for_silence_of_the_line(tmp_path):
+    """What came meanwhile is there at the next look: 10 000 samples, 10 000 rows."""
+    write_sensor(tmp_path / "s.onnx")
+    line, page = Starved(), Page()
+    sensor = load_sensor(str(tmp_path / "s.onnx"))
+    Service(line, sensor, [page], None, Settings(rate_Hz=0), lambda: line.now_ns).run(lambda: False)
+    assert len(page.rows) == 10_000 and not page.events
+    assert not any(word & (Quality.STALE | Quality.LINE_LOST) for _, word in page.rows)
 
 
 def test_other_systems_call_it_bad_or_stale():

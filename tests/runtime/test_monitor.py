@@ -1,6 +1,7 @@
 """The live page: what a browser receives is what the publishers write, from a run of its own or one it attaches to."""
 
 import csv
+import itertools
 import json
 import math
 import os
@@ -11,6 +12,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -500,7 +502,15 @@ def test_what_cannot_be_attached_to_is_said(url, said):
         attach(url, first_s=0.1)
 
 
-def test_the_command_attaches_and_watches(engine, tmp_path, monkeypatch):
+@pytest.fixture
+def ticking(monkeypatch):
+    """For the command, a twentieth of a second passes between two looks at the clock, however long a busy machine takes."""
+    ticks = itertools.count()
+    clock = SimpleNamespace(monotonic=lambda: next(ticks) / 20)
+    monkeypatch.setattr("motorlens_runtime.commands.monitor.time", clock)
+
+
+def test_the_command_attaches_and_watches(engine, ticking, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_sensor("s.onnx")
     writer = open_publisher(f"shm:{tmp_path}/ring", HEADER)
@@ -526,7 +536,7 @@ def test_the_command_attaches_and_watches(engine, tmp_path, monkeypatch):
     assert os.listdir(tmp_path).count("m.json") == 1
 
 
-def test_the_command_follows_several_and_tells_when_one_falls_silent(tmp_path, monkeypatch):
+def test_the_command_follows_several_and_tells_when_one_falls_silent(ticking, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("motorlens_runtime.monitor.follow.LOST_S", 0.2)
     writers = [open_publisher(f"shm:{tmp_path}/{name}", HEADER) for name in ("a", "b")]

@@ -41,7 +41,7 @@ def read(publisher, *names):
     """DataValues of the device's variables, through a client of its own."""
 
     async def ask():
-        async with asyncua.Client(publisher.endpoint) as client:
+        async with asyncua.Client(publisher.endpoint, LIMIT_S) as client:
             space = await client.get_namespace_index("urn:motorlens")
             nodes = [client.get_node(ua.NodeId(f"press-7.{name}", space)) for name in names]
             return [await node.read_data_value(raise_on_bad_status=False) for node in nodes]
@@ -97,7 +97,7 @@ def test_alarms_that_are_on(publisher):
 
 def test_no_client_can_write(publisher):
     async def attempt():
-        async with asyncua.Client(publisher.endpoint) as client:
+        async with asyncua.Client(publisher.endpoint, LIMIT_S) as client:
             space = await client.get_namespace_index("urn:motorlens")
             await client.get_node(ua.NodeId("press-7.speed_rad_s", space)).write_value(0.0)
 
@@ -114,7 +114,20 @@ def test_rows_that_come_faster_than_they_are_written_are_counted(publisher):
 @pytest.mark.fit
 def test_a_port_that_is_taken_and_options_that_are_not_known(publisher):
     place = publisher.endpoint.removeprefix("opc.tcp://").partition("/")[0]
-    with pytest.raises(DeviceError, match="cannot listen there"):
+    with pytest.raises(DeviceError, match=r"cannot listen there: .*address already in use"):
         open_publisher(f"opcua://{place}", HEADER)
     with pytest.raises(DataError, match="no option 'devise'; did you mean 'device'"):
         open_publisher("opcua://127.0.0.1:1?devise=x", HEADER)
+
+
+def test_a_server_that_does_not_start_is_said_in_words(monkeypatch):
+    """Its error has none of its own: `str(TimeoutError())` is empty."""
+
+    async def waits(self):
+        await asyncio.sleep(LIMIT_S)
+
+    monkeypatch.setattr("motorlens_runtime.publish.opcua.OpcUaPublisher._start", waits)
+    monkeypatch.setattr("motorlens_runtime.publish.opcua._START_S", 0.1)
+    place = free_place()
+    with pytest.raises(DeviceError, match=rf"{place}/motorlens: the server did not start within 0\.1 s; "):
+        open_publisher(f"opcua://{place}", HEADER)

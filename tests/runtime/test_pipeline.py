@@ -5,16 +5,15 @@ import time
 from functools import partial
 
 import pytest
+from helpers.processes import eventually
 
 from motorlens_runtime.files.pipeline import Behind, ahead
 
 
 def settled():
-    for _ in range(200):
-        if not {t.name for t in threading.enumerate()} & {"reader", "writer"}:
-            return True
-        time.sleep(0.01)
-    return False
+    return eventually(
+        lambda: not {t.name for t in threading.enumerate()} & {"reader", "writer"}, "the end of all threads"
+    )
 
 
 def test_the_same_items_in_order():

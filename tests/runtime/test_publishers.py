@@ -1,5 +1,6 @@
 """Publishers as their consumers meet them: sockets, a real broker, the official parser, a process that maps the memory."""
 
+import itertools
 import json
 import math
 import os
@@ -464,18 +465,28 @@ def test_shared_memory_reader_never_sees_half_a_row(tmp_path):
 
 
 def test_rows_gather_for_a_file_and_all_are_written(tmp_path):
-    """A thousand rows, one at a time: far fewer writes than rows, none of them late, none lost, in order."""
+    """A thousand rows, one at a time: a write for what came in each pause of 20 ms, none late, none lost, in order."""
     outlet = Outlet(f"csv:{tmp_path}/out.csv", HEADER)
-    flushes = []
-    flush = outlet._publisher.flush
-    outlet._publisher.flush = lambda: flushes.append(flush())
+    publisher, path = outlet._publisher, tmp_path / "out.csv"
+    published, flushes = [], []
+    publish, flush = publisher.publish, publisher.flush
+
+    def flushed():
+        begun_s = time.monotonic()
+        flush()
+        flushes.append((begun_s, time.monotonic(), len(published), len(path.read_text().splitlines()) - 1))
+
+    publisher.publish = lambda rows: (publish(rows), published.extend(rows.time_ns.tolist()))
+    publisher.flush = flushed
     for k in range(1000):
         outlet.put(estimates(k + 1, 1))
         time.sleep(0.0002)
-    eventually(
-        lambda: len((tmp_path / "out.csv").read_text().splitlines()) == 1001, "all rows"
-    )  # before it is closed
-    outlet.close()
-    times = [float(line.split(",")[0]) for line in (tmp_path / "out.csv").read_text().splitlines()[1:]]
-    assert times == sorted(times) and len(times) == 1000 and len(flushes) < 300
-    assert outlet.report().dropped == 0
+    eventually(lambda: flushes and flushes[-1][2] == 1000, "all rows")  # before it is closed
+    before_close = flushes.copy()
+    outlet.close(LIMIT_S)
+    times = [float(line.split(",")[0]) for line in path.read_text().splitlines()[1:]]
+    assert times == sorted(times) and len(times) == 1000
+    # However long it all took: whoever writes has paused before, and then leaves nothing behind.
+    assert all(after[0] - before[1] >= 0.019 for before, after in itertools.pairwise(before_close))
+    assert all(rows == written for _, _, rows, written in flushes)
+    assert len(before_close) >= 2 and outlet.report().dropped == 0

@@ -12,9 +12,11 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
+from helpers.clocks import Standing
 from helpers.ports import free_place
 from helpers.processes import LIMIT_S, MOTORLENS, Program, eventually, ran
 from helpers.sensor_files import write_sensor
@@ -58,7 +60,8 @@ def estimates(path):
 
 @pytest.mark.fit
 @pytest.mark.parametrize(("rate_Hz", "n"), [(1000, 1), (10_000, 10), (20_000, 20)])
-def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(here, rate_Hz, n):
+def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(here, monkeypatch, rate_Hz, n):
+    monkeypatch.setattr("motorlens_runtime.service.live.time", Standing)
     with WireDevice(rate_Hz, n, count=2000) as device:
         device.start_when_open()
         seconds = 2000 * n / rate_Hz
@@ -79,7 +82,8 @@ def test_loopback_loses_nothing_and_equals_infer_bit_for_bit(here, rate_Hz, n):
 
 
 @pytest.mark.fit
-def test_publishing_at_a_rate_gives_rows_of_the_full_output(here):
+def test_publishing_at_a_rate_gives_rows_of_the_full_output(here, monkeypatch):
+    monkeypatch.setattr("motorlens_runtime.service.live.time", Standing)
     with WireDevice(1000, 10, count=300) as device:
         device.start_when_open()
         run(
@@ -233,11 +237,14 @@ def test_a_publisher_that_cannot_be_is_one_clear_line(here, capsys, url, message
     assert len(error) == 1 and re.search(message, error[0]), error
 
 
-def write_recording(n=3000):
+def write_recording(n=3000, gap_s=0.0):
+    """A kilohertz, with a gap after half of it."""
     with open("rec.csv", "w") as file:
         file.write(
             "time_s,voltage_V,current_A\n"
-            + "".join(f"{k / 1000},{100 + k % 7},{8 + k % 3}\n" for k in range(n))
+            + "".join(
+                f"{k / 1000 + (gap_s if 2 * k >= n else 0.0)},{100 + k % 7},{8 + k % 3}\n" for k in range(n)
+            )
         )
 
 
@@ -250,6 +257,39 @@ def test_a_file_replayed_is_what_infer_gives(here, capsys):
     assert replayed == capsys.readouterr().out
     assert run("--source", "file:rec.csv?speed=20", "--rate", 0, "--publish", "csv:out.csv") == 0
     assert "\n".join(lines("out.csv")) + "\n" == replayed
+
+
+class Slow:
+    """A clock of a machine on which 0.4 s pass between any two looks at it, and nobody sleeps less than a second."""
+
+    process_time = staticmethod(time.process_time)
+
+    def __init__(self):
+        self.now_ns = 0
+
+    def monotonic_ns(self):
+        self.now_ns += 400_000_000
+        return self.now_ns
+
+    def sleep(self, seconds):
+        self.now_ns += 1_000_000_000
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("speed", [0.05, 20])
+def test_a_file_is_never_late_or_silent_however_slow_the_machine(here, monkeypatch, speed):
+    """At a twentieth of its time, and with a gap of 100 s in it, which is bridged, as `infer` does, and not a line lost."""
+    write_recording(gap_s=100.0)
+    clock = Slow()
+    monkeypatch.setattr("motorlens_runtime.service.live.time", clock)
+    monkeypatch.setattr("motorlens_runtime.line.feed.time", clock)
+    assert run("--source", f"file:rec.csv?speed={speed}", "--rate", 0, "--publish", "csv:out.csv") == 0
+    assert main(["infer", "rec.csv", "--sensor", "s.onnx", "-o", "replay.csv"]) == 0
+    assert lines("out.csv") == lines("replay.csv") and len(lines("out.csv")) == 3001
+    assert not report()["events"] and report()["bridged"] > 0
+    # A minute of the recording is asked for and is there, in whatever time it takes.
+    assert run("--source", f"file:rec.csv?speed={speed}", "--duration", 60, "--publish", "csv:out.csv") == 0
+    assert 3000 >= report()["samples"] > 1500
 
 
 @pytest.mark.fit

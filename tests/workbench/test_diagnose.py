@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.hidden import draw, generate
+from helpers.hidden import known
 
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
@@ -97,7 +97,7 @@ def test_nothing_missing_is_said_with_what_would_have_been_seen(rough):
 @pytest.mark.fit
 def test_an_effect_of_which_only_a_product_is_told_is_named(tmp_path):
     """Of another plant: how wide the gap of a coasting bridge is, or how high its supply, its voltage alone does not say."""
-    made = generate(draw("dev", 800, True)[420], tmp_path)
+    made = known("dev-0420", tmp_path)
     found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
     (one,) = found.outcome.accepted
     size, sd = measured(found, one)
@@ -228,7 +228,7 @@ def test_wrong_use_is_one_clear_line(arguments, message, rough, tmp_path, capsys
 @pytest.mark.fit
 def test_a_model_that_leaves_what_is_correlated_is_not_adequate(tmp_path):
     """A magnet that loses a fortieth halfway: parameters bend until nothing stands out, but what is left is no noise."""
-    made = generate(draw("dev", 800, True)[633], tmp_path)
+    made = known("dev-0633", tmp_path)
     assert [hidden["name"] for hidden in made.truth["hidden"]] == ["demagnetisation_step"]
     found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
     verdict = settle(found)

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from helpers.hidden import draw, generate, generate_again
+from helpers.hidden import draw, generate, generate_again, known
 from helpers.hidden import score as scoring
 
 from motorlens_runtime.cli import main
@@ -88,6 +88,15 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
     number = next(k for k, case in enumerate(cases) if case.kind == "single" and case.records == "fast")
     made = generate(cases[number], tmp_path)
     assert made.truth["hidden"][0]["size"] == pytest.approx(truths[number]["hidden"][0]["size"], rel=1e-3)
+
+
+def test_the_cases_of_other_tests_are_those_of_the_plan_of_800(tmp_path: Path) -> None:
+    """Sized up as the one above was."""
+    plan = {case.id: case for case in draw("dev", 800, small=True)}
+    for name in ("dev-0061", "dev-0420", "dev-0633"):
+        truth = known(name, tmp_path / name).truth
+        assert truth["case"]["seed"] == plan[name].seed
+        assert tuple(map(tuple, truth["case"]["hidden"])) == plan[name].hidden
 
 
 def _name(truth: dict[str, Any]) -> str:

@@ -142,9 +142,13 @@ def _run(
             u = signals[driving[s], n]
             state[s] = u + (state[s] - u) * decay[s]
         if taken < len(rows) and rows[taken] == n:
-            values[:count] = signals[:, n]
-            values[count : count + filters] = state
-            values[count + filters + 1 :] = observed[n]
+            # One by one: the compiler takes a second and a half over parts of arrays, for a message of theirs.
+            for s in range(count):
+                values[s] = signals[s, n]
+            for s in range(filters):
+                values[count + s] = state[s]
+            for s in range(observed.shape[1]):
+                values[count + filters + 1 + s] = observed[n, s]
             for f in range(len(plus)):
                 result[taken, f] = values[plus[f]] - values[minus[f]]
             taken += 1

@@ -10,6 +10,7 @@ example: motorlens monitor --source serial:///dev/ttyUSB0?baud=921600 --sensor m
 """
 
 import argparse
+import time
 from contextlib import closing
 
 from motorlens_runtime.cli import write_json
@@ -53,7 +54,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _attached(arguments: argparse.Namespace) -> int:
-    import time
     from contextlib import ExitStack
 
     from motorlens_runtime.errors import DataError

@@ -31,8 +31,12 @@ class Feed(Protocol):
 
     `period_s` is the expected time between samples (None until known), `device` what the device calls itself, `arrival_ns`
     when the last samples came by the clock, `down` why the line is broken (None: it is not). `decoder` decodes a line
-    (None: not known yet, or it is no line), to whose samples the feed adds `ambient_C` where they have none.
+    (None: not known yet, or it is no line), to whose samples the feed adds `ambient_C` where they have none. `live` says
+    that samples come when they are taken, so that they can be late or stay away; a recording's cannot, however slow the
+    machine that replays it.
     """
+
+    live: bool
 
     period_s: float | None
     device: str
@@ -77,6 +81,8 @@ def open_feed(
 
 class LineFeed:
     """A line and what it speaks: frames, or the dialect that `?dialect=` names, or text; the first bytes tell."""
+
+    live = True
 
     def __init__(
         self, parts: SplitResult, options: Options, ambient_C: float | None, patience_s: float, clock: Clock
@@ -207,6 +213,7 @@ class LineFeed:
 class FileFeed:
     """A recording, as fast as it can be read, or at `?speed=1` times real time."""
 
+    live = False
     device = ""
     down: str | None = None
     decoder: Dialect | None = None

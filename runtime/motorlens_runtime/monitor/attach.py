@@ -34,8 +34,9 @@ _COUNTS = {
     "motorlens_reconnects_total": "reconnects", "motorlens_rows_total": "published",
 }  # fmt: skip
 _ALL_BITS = sum(Quality)
-# How long to wait for the first words of a runtime, and between two questions to its /metrics.
-_FIRST_S, _ASK_S = 10.0, 0.2
+# How long to wait for the first words of a runtime, for an answer once it has said something, and between two questions to
+# its /metrics. Where a PC is busy the first words take seconds; later, others that are watched wait as well.
+_FIRST_S, _ANSWER_S, _ASK_S = 30.0, 2.0, 0.2
 _SAMPLE = re.compile(r"(\w+)(?:\{(.*)\})? (\S+)")
 _LABEL = re.compile(r'(\w+)="((?:[^"\\]|\\.)*)"')
 
@@ -151,7 +152,7 @@ class _Metrics:
         self._url, self._where = f"http://{host}:{port}/metrics", where
         self._alarms: dict[str, bool] = {}
         self._last_s: float | None = None
-        samples = self._ask()
+        samples = self._ask(_FIRST_S)
         if samples is None:
             raise DeviceError(
                 f"{where}: no answer from /metrics; is a runtime publishing with prometheus: there?"
@@ -225,11 +226,11 @@ class _Metrics:
             for name in changed
         ]  # fmt: skip
 
-    def _ask(self) -> list[tuple[str, Mapping[str, str], float]] | None:
+    def _ask(self, patience_s: float = _ANSWER_S) -> list[tuple[str, Mapping[str, str], float]] | None:
         try:
             # No proxy: the runtime is where its address says.
             opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-            with opener.open(self._url, timeout=2.0) as answer:
+            with opener.open(self._url, timeout=patience_s) as answer:
                 text = answer.read(1 << 20).decode("utf-8", "replace")
         except (OSError, ValueError, urllib.error.URLError):
             return None

@@ -32,8 +32,10 @@ _NAMESPACE = "urn:motorlens"
 _UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"
 # Unit -> its UNECE common code and how people write it.
 _UNITS = {"rad/s": ("2A", "rad/s"), "K": ("KEL", "K"), "degC": ("CEL", "°C"), "ohm": ("OHM", "Ω")}
-# An end to the wait for a start that does not come; on a busy machine a start takes many seconds.
-_START_S = 120.0
+# Ends the wait for a start that does not come, and for a stop that a client holds up: a start takes a second of a processor,
+# which a busy machine may be minutes in giving.
+_START_S = 600.0
+_STOP_S = 30.0
 
 
 def open_url(url: SplitResult, header: Header) -> "OpcUaPublisher":
@@ -76,11 +78,14 @@ class OpcUaPublisher:
         self._server = Server()
         try:
             self._nodes = asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(_START_S)
-        except (OSError, TimeoutError) as error:
+        except TimeoutError:  # an OSError too, and without a word of its own
             self._end_loop()
             raise DeviceError(
-                f"{self.endpoint}: cannot listen there: {error or 'it did not start'}"
+                f"{self.endpoint}: the server did not start within {_START_S:g} s; is this PC busy with something else?"
             ) from None
+        except OSError as error:
+            self._end_loop()
+            raise DeviceError(f"{self.endpoint}: cannot listen there: {error.strerror or error}") from None
 
     def publish(self, estimates: Estimates) -> None:
         """Write the last row, unless the one before is still being written."""
@@ -106,7 +111,7 @@ class OpcUaPublisher:
     def close(self) -> None:
         """Stop the server."""
         try:
-            asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result(2.0)
+            asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result(_STOP_S)
         except TimeoutError:
             pass  # a client that does not let go is left to the operating system
         self._end_loop()
@@ -163,10 +168,22 @@ class OpcUaPublisher:
         await self._nodes.word.write_value(_value(word, ua.VariantType.UInt32, good, now))
 
     def _end_loop(self) -> None:
+        try:
+            asyncio.run_coroutine_threadsafe(_give_up_the_rest(), self._loop).result(_STOP_S)
+        except TimeoutError:
+            pass  # what does not let itself be given up ends with the process
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(2.0)
+        self._thread.join(_STOP_S)
         if not self._thread.is_alive():
             self._loop.close()
+
+
+async def _give_up_the_rest() -> None:
+    """End whatever still runs in this loop: a start that took too long, connections of clients."""
+    rest = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in rest:
+        task.cancel()
+    await asyncio.gather(*rest, return_exceptions=True)
 
 
 def _value(value: float, kind: Any, status: Any, now: datetime) -> Any:

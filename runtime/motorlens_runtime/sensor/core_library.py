@@ -25,7 +25,8 @@ FLAGS = (
 )  # fmt: skip
 # For what is exported: nothing but the language, and the same bits everywhere.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off")
-_COMPILE_S = 120.0
+# Ends a call of a compiler, or of what it made, that hangs; a second's work may take minutes on a busy machine.
+CALL_S = 600.0
 
 real, u8, u16, u32, i32, i64, f64 = (
     ctypes.c_double, ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_int32, ctypes.c_int64, ctypes.c_double,
@@ -88,8 +89,14 @@ def _core(choice: str) -> Core:
     try:
         return _loaded(_compiled(compiler))
     except (OSError, subprocess.SubprocessError) as error:
-        said = getattr(error, "stderr", None) or str(error)
-        return Core(None, reason=f"it does not compile here: {' '.join(said.split())[:200]}")
+        return Core(None, reason=f"it does not compile here: {why_not(error)[:200]}")
+
+
+def why_not(error: OSError | subprocess.SubprocessError) -> str:
+    """One line that says why a compiler, or what it made, did not do its work."""
+    if isinstance(error, subprocess.TimeoutExpired):
+        return f"{Path(error.cmd[0]).name} did not end within {error.timeout:g} s; is this PC busy with something else?"
+    return " ".join(str(getattr(error, "stderr", None) or error).split())
 
 
 def compile_core(compiler: str, target: Path, *flags: str) -> None:
@@ -104,7 +111,7 @@ def compile_core(compiler: str, target: Path, *flags: str) -> None:
     try:
         subprocess.run(
             [compiler, *FLAGS, *flags, "-o", draft, *map(str, sources()), "-lm"],
-            check=True, capture_output=True, text=True, timeout=_COMPILE_S, stdin=subprocess.DEVNULL,
+            check=True, capture_output=True, text=True, timeout=CALL_S, stdin=subprocess.DEVNULL,
         )  # fmt: skip
         os.chmod(draft, 0o755)
         os.replace(draft, target)

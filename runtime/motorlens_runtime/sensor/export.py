@@ -14,13 +14,11 @@ import numpy as np
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_runtime.files.shipped import sensor_path
 from motorlens_runtime.sensor.c_source import Golden, core_files, written
-from motorlens_runtime.sensor.core_library import STRICT_FLAGS, compilers
+from motorlens_runtime.sensor.core_library import CALL_S, STRICT_FLAGS, compilers, why_not
 from motorlens_runtime.sensor.folded import fold
 from motorlens_runtime.sensor.onnx_file import parse
 from motorlens_runtime.sensor.sensor import Sensor, load_sensor, scales
 from motorlens_runtime.sensor.tables import Tables, tables_of
-
-_RUN_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ def prove(files: Mapping[str, str]) -> Proof | None:
     """Compile and run the golden test with this machine's compiler; None where there is none.
 
     Raises:
-        ModelError: it does not compile.
+        ModelError: it does not compile, or one or the other does not end.
     """
     compiler = next(iter(compilers()), None)
     if compiler is None:
@@ -107,16 +105,17 @@ def prove(files: Mapping[str, str]) -> Proof | None:
         try:
             subprocess.run(
                 [compiler, *STRICT_FLAGS, "-O2", "-o", "golden_test", *sources, "-lm"],
-                cwd=scratch, check=True, capture_output=True, text=True, timeout=_RUN_S,
+                cwd=scratch, check=True, capture_output=True, text=True, timeout=CALL_S,
             )  # fmt: skip
             done = subprocess.run(
-                ["./golden_test"], cwd=scratch, capture_output=True, text=True, timeout=_RUN_S
+                ["./golden_test"], cwd=scratch, capture_output=True, text=True, timeout=CALL_S
             )
-        except (OSError, subprocess.SubprocessError) as error:
-            said = getattr(error, "stderr", None) or str(error)
+        except subprocess.TimeoutExpired as error:
             raise ModelError(
-                f"the exported sensor does not compile: {' '.join(said.split())[:300]}"
+                f"the exported sensor was not checked and not written: {why_not(error)}"
             ) from None
+        except (OSError, subprocess.SubprocessError) as error:
+            raise ModelError(f"the exported sensor does not compile: {why_not(error)[:300]}") from None
     first, second = done.stdout.split()[:2]
     return Proof(Path(compiler).name, float(first), float(second))
 

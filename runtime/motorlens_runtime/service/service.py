@@ -1,7 +1,7 @@
 """The hot loop: samples when they come, every one into the state, an estimate at each publishing instant.
 
-Driven by data, in blocks as large as what has arrived; no tick of the host. When nothing comes, the last estimate is
-published on, marked stale.
+Driven by data, in blocks as large as what has arrived; no tick of the host. When nothing comes from a live line, the last
+estimate is published on, marked stale. The host's clock judges nothing of a recording: its time is its own.
 """
 
 from collections import Counter
@@ -94,13 +94,16 @@ class Service:
         """Until `stop()`, the end of the feed or the duration. Raises what the feed raises."""
         self._started_ns = self._clock()
         while not stop() and not self._finished():
+            asked_ns = self._clock()
             samples = self._feed.read(_WAIT_S)
             if samples is None:
                 return
             if len(samples):
                 self.take(samples)
-            else:
-                self._stale()
+            elif self._feed.live:
+                # Nothing had come by the time we asked. What comes after that is found by the next read, however long
+                # this process has to wait for a processor until then: that is no silence of the line.
+                self._stale(asked_ns)
             if self._clock() - self._counted_ns >= _COUNT_EVERY_NS:
                 self._count()
             if self._outlets and all([outlet.dead for outlet in self._outlets]):
@@ -136,7 +139,7 @@ class Service:
     def _estimated(self, estimator: Estimator, samples: Samples, arrival_ns: int) -> Estimated:
         """What the estimator makes of samples; from the next read on the line's decoder may have it done by itself."""
         first_ns, newest_ns = int(samples.time_ns[0]), int(samples.time_ns[-1])
-        if self._lag.late(arrival_ns, newest_ns):
+        if self._feed.live and self._lag.late(arrival_ns, newest_ns):
             flags = np.zeros(len(samples), dtype=np.uint32) if samples.flags is None else samples.flags
             samples = replace(samples, flags=flags | np.uint32(Quality.OVERLOAD))
         marking = False
@@ -216,7 +219,7 @@ class Service:
         return self._estimator
 
     def _finished(self) -> bool:
-        """Whether the stream is as long as was asked for; the host's clock ends one that falls silent."""
+        """Whether the stream is as long as was asked for; the host's clock ends a live one that falls silent."""
         if self._settings.duration_s == np.inf:
             return False
         duration_ns = self._settings.duration_s * 1e9
@@ -224,7 +227,7 @@ class Service:
         if last_ns is not None and self._first_ns is not None and self._period_s is not None:
             if last_ns - self._first_ns + self._period_s * 1e9 >= duration_ns:
                 return True
-        return self._clock() - self._started_ns >= duration_ns + _GRACE_NS
+        return self._feed.live and self._clock() - self._started_ns >= duration_ns + _GRACE_NS
 
     def _hand_out(self, estimates: Estimates, inputs: NDArray[np.float64] | None = None) -> None:
         self._published += len(estimates)
@@ -262,9 +265,13 @@ class Service:
         for outlet in self._outlets:
             outlet.put_counts(counts)
 
-    def _stale(self) -> None:
-        """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale."""
-        silence_ns = self._clock() - self._latest_arrival_ns
+    def _stale(self, until_ns: int) -> None:
+        """Publish the last estimate on, at the publishing rate but not above 10 rows a second, marked stale.
+
+        Args:
+            until_ns: nothing had come by then.
+        """
+        silence_ns = until_ns - self._latest_arrival_ns
         if self._latest is None or silence_ns < self._settings.stale_s * 1e9:
             self._stale_tick = 0
             return

@@ -53,12 +53,23 @@ from helpers.hidden.world import (
     write_csv,
 )
 
+# What `generate` said of the cases of the plan of 800 small ones that tests use, for sizing up a case costs seconds.
+_KEY = Path(__file__).with_name("dev-key.jsonl")
 # A record, and its true channels.
 Written = tuple[Record, dict[str, plant.Array]]
 # Rounds in which sizes are made consistent with what they are worth.
 _TRIALS = 5
 
-__all__ = ["Case", "Generated", "draw", "generate", "generate_again", "generate_experiment", "size_up"]
+__all__ = [
+    "Case",
+    "Generated",
+    "draw",
+    "generate",
+    "generate_again",
+    "generate_experiment",
+    "known",
+    "size_up",
+]
 
 
 @dataclass(frozen=True)
@@ -134,6 +145,12 @@ def generate_again(truth: dict[str, Any], directory: Path) -> Generated:
     """The files of a case whose truth is known: the same as `generate` wrote, without sizing anything up."""
     paths, motor, _ = _write(*_known(truth), directory)
     return Generated(paths, motor, truth)
+
+
+def known(name: str, directory: Path) -> Generated:
+    """A case of `draw("dev", 800, small=True)` whose truth is kept here: the files that `generate` would write."""
+    truths = map(json.loads, _KEY.read_text(encoding="utf-8").splitlines())
+    return generate_again(next(truth for truth in truths if truth["case"]["id"] == name), directory)
 
 
 def generate_experiment(truth: dict[str, Any], test: str, seconds: float, directory: Path) -> Path:

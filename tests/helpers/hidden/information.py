@@ -11,6 +11,7 @@ initial temperature can absorb is projected out (with the datasheet's tolerance 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from helpers.hidden import effects as hidden_effects
@@ -73,30 +74,43 @@ class Information:
         self.textbook = specimen(case)
         self.records = [_Half(case, record, self.textbook) for record in records_of(case)]
         self.base = self._gather(self._base())
-        self.rivals: dict[str, list[Array]] = {}
-        faults = hidden_effects.sensor_faults(self.motor)
-        for name in hidden_effects.CATALOGUE:
-            self.rivals[name] = [self.column(Sized(name, size, form)) for size, form in self._variants(name)]
-        for name, fault in faults.items():
-            if fault.equation in CHANNEL_SETS[case.channels]:
-                self.rivals[name] = [self.column(Sized(name, 0.1 * fault.typical))]
+
+    @cached_property
+    def rivals(self) -> dict[str, Array]:
+        """Columns (rows, k) of what may be taken for what is hidden, by name."""
+        rivals = {
+            name: np.column_stack(
+                [self.column(Sized(name, size, form)) for size, form in self._variants(name)]
+            )
+            for name in hidden_effects.CATALOGUE
+        }
+        for name, fault in hidden_effects.sensor_faults(self.motor).items():
+            if fault.equation in CHANNEL_SETS[self.case.channels]:
+                rivals[name] = self.column(Sized(name, 0.1 * fault.typical))[:, None]
+        return rivals
+
+    @cached_property
+    def _known(self) -> tuple[Array, Array]:
+        """The columns of base and rivals, which no size changes, and their products."""
+        columns = np.column_stack([self.base, *self.rivals.values()])
+        return columns, columns.T @ columns
 
     def judge(self, hidden: list[Sized], among: list[Sized]) -> list[Judgement]:
         """Judge each of `hidden` beside all of `among` (usually the same list), whose columns are free as well."""
         names = list(self.rivals)
-        stack = [column for name in names for column in self.rivals[name]]
-        bounds = np.cumsum([0] + [len(self.rivals[name]) for name in names])
-        truths = [self.column(effect) for effect in among]
-        everything = np.column_stack([self.base, *stack, *truths])
-        gram = everything.T @ everything
-        m = self.base.shape[1]
+        bounds = np.cumsum([0] + [self.rivals[name].shape[1] for name in names])
+        columns, products = self._known
+        truths = np.column_stack([self.column(effect) for effect in among])
+        cross = columns.T @ truths
+        gram = np.block([[products, cross], [cross.T, truths.T @ truths]])
+        m, stack = self.base.shape[1], bounds[-1]
         prior = self.prior()
         found = []
         for effect in hidden:
-            own = m + len(stack) + among.index(effect)
-            fixed = list(range(m)) + [m + len(stack) + k for k in range(len(among)) if among[k] is not effect]
+            own = m + stack + among.index(effect)
+            fixed = list(range(m)) + [m + stack + k for k in range(len(among)) if among[k] is not effect]
             block = gram[np.ix_(fixed, fixed)] + np.diag(np.r_[prior, np.zeros(len(fixed) - m)])
-            rest = [*range(m, m + len(stack)), own]
+            rest = [*range(m, m + stack), own]
             cross = gram[np.ix_(fixed, rest)]
             left = gram[np.ix_(rest, rest)] - cross.T @ np.linalg.solve(block, cross)
             mine = left[-1, -1]

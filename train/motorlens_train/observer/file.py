@@ -114,14 +114,27 @@ def _programs(design: Observer) -> tuple[Any, ...]:
 def _run(
     accumulate: Any, correct: Any, read: Any, full_s: float, columns: Array, state: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
+    # One by one: the compiler takes a second and a half over parts of arrays, for a message of theirs.
     width, size = WIDTH, len(state)
     sample, window, new = np.empty(4 + width), np.empty(1 + size), np.empty(size)
     for k in range(len(columns)):
-        sample[:4], sample[4:] = columns[k], state[:width]
+        for j in range(4):
+            sample[j] = columns[k, j]
+        for j in range(width):
+            sample[4 + j] = state[j]
         accumulate(sample, state[:width])
         if state[TIME] >= full_s:
-            window[0], window[1:] = columns[k, 2], state
+            _seen(columns[k, 2], state, window)
             correct(window, new)
-            state[:] = new
-        window[0], window[1:] = columns[k, 2], state
+            for j in range(size):
+                state[j] = new[j]
+        _seen(columns[k, 2], state, window)
         read(window, out[k])
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _seen(ambient_C: float, state: Array, window: Array) -> None:  # pragma: no cover - compiled
+    """What a window's programs are given: the ambient temperature and the state."""
+    window[0] = ambient_C
+    for j in range(len(state)):
+        window[1 + j] = state[j]

@@ -155,7 +155,7 @@ class Catalogue:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
-    def entries(self, patience_s: float = 30.0) -> list[dict[str, Any]]:
+    def entries(self, patience_s: float = 300.0) -> list[dict[str, Any]]:
         """Name, equation, summary and equations of each."""
         self._reader.join(patience_s)
         return self._entries
