@@ -32,7 +32,6 @@ from motorlens_physics.estimate.weighed import (
     minimised,
     noisier,
     with_colour,
-    with_duration,
     with_rough_inputs,
 )
 from motorlens_physics.motor_file import MotorFile
@@ -146,7 +145,7 @@ def near(
     timing = Timing(model, wide, longer, prior, progress)
     point = timing.likeliest(timing.near(model, pieces), free=held is None)
     # Parameters that are wrong leave errors that follow the inputs, and that last.
-    rough = with_duration(with_rough_inputs(point, prior))
+    rough = with_rough_inputs(point, prior)
     point = point if rough is point else minimised(rough, prior, progress, outliers=False)[0]
     coloured = with_colour(point)
     return point if coloured is point else minimised(coloured, prior, progress, outliers=False)[0]

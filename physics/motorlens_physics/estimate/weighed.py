@@ -307,18 +307,6 @@ def with_rough_inputs(point: Weighed, prior: Prior) -> Weighed:
     return _with_parts(point, parts)
 
 
-def with_duration(point: Weighed) -> Weighed:
-    """A point near the best parameters with an unmeasured torque that lasts as long as is likeliest; itself if it does."""
-    parts = on_all_cores(Errors.with_duration, point.parts)
-    return _with_parts(
-        point,
-        tuple(
-            part if np.array_equal(part.noise.lasts_s, one.noise.lasts_s) else one
-            for part, one in zip(point.parts, parts, strict=True)
-        ),
-    )
-
-
 def with_colour(point: Weighed) -> Weighed:
     """A point near the best parameters with coloured noise in each run where that is likelier; itself if in none."""
     return _with_parts(point, tuple(on_all_cores(Errors.with_colour, point.parts)))
