@@ -9,7 +9,7 @@ class Criteria:
 
     The first three say when a hypothesis is beyond what recordings show in which nothing is missing, the last two when the
     model is. `python benchmarks/null.py --count 200 --seed 6` prints how large the largest of them get. At an `excess` of 16
-    and with readings of coarse converters taken as less unsure than they are, four of its 200 worlds were not adequate, three
+    and with coarse readings taken as less unsure than they are, four of its 200 worlds were not adequate, three
     of them with 10 bit; of all others the largest name had 0.61 and the largest free term 0.36 of what was needed. So much
     was taken off `excess`. Of 119 worlds of `--count 120 --seed 7`, which nothing was chosen by, three are not adequate at
     today's: two with 10 bit, and coloured noise near standstill; all three would not have been at 16 either. Flips of signs
