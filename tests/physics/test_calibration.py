@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from helpers.integrators import scipy_solution
 from motorlens_physics.datasheet import from_datasheet, parse_datasheet
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.estimate.calibrate import Calibration, calibrate
+from motorlens_physics.estimate.report import _confounded
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file, write_motor_file
 from motorlens_physics.parameter import Rated, parameters
@@ -349,3 +351,12 @@ def test_what_a_brief_recording_finds_is_believed_as_far_as_the_make_says():
     assert told.brief_sd == 0.0
     # Of what the make says nothing, the recording is believed.
     assert found.file.motor.R_a0 == pytest.approx(whole.file.motor.R_a0, rel=1e-3)
+
+
+def test_what_is_tied_to_several_is_named_with_the_closest() -> None:
+    # Half the sum of four independent ones and a little: told alone ten times worse, and tied to each by no more than 0.6.
+    sums = np.column_stack([np.eye(5)[:, 0] * 0.1 + 0.5 * np.array([0, 1, 1, 1, 1.1]), np.eye(5)[:, 1:]])
+    fit = SimpleNamespace(prior=SimpleNamespace(keys=tuple("abcde")), covariance=sums.T @ sums)
+    (sentence,) = _confounded(fit, tuple("abcde"), {})  # type: ignore[arg-type]
+    assert sentence.startswith("a and e: these recordings tell them only together")
+    assert _confounded(fit, tuple("bcde"), {}) == ()  # type: ignore[arg-type]

@@ -11,8 +11,8 @@ class Criteria:
     model is. `python benchmarks/null.py --count 200 --seed 6` prints how large the largest of them get. At an `excess` of 16
     and with coarse readings taken as less unsure than they are, four of its 200 worlds were not adequate, three
     of them with 10 bit; of all others the largest name had 0.61 and the largest free term 0.36 of what was needed. So much
-    was taken off `excess`. Of 119 worlds of `--count 120 --seed 7`, which nothing was chosen by, three are not adequate at
-    today's: two with 10 bit, and coloured noise near standstill; all three would not have been at 16 either. Flips of signs
+    was taken off `excess`. Of 120 worlds of `--count 120 --seed 7`, which nothing was chosen by, four are not adequate at
+    today's: three with 10 bit, and coloured noise near standstill; none of them would be at 16 either. Flips of signs
     alone would put `excess` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:

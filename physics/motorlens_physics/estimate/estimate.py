@@ -104,20 +104,20 @@ def estimate(
 
 
 def whole(
-    near: Weighed,
+    reached: Weighed,
     begin: Model,
     runs: Sequence[Run],
     prior: Prior,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Weighed:
-    """From `near` the best parameters as far as pieces of runs tell, near those of all samples.
+    """From near the best parameters as pieces of runs tell them to near those of all samples.
 
-    Args: as of `estimate`.
+    Args: where `near` has led; the others as of `estimate`.
 
     Raises:
         ModelError: the motor cannot be simulated there.
     """
-    point = _with_more(near, *pieces_of(begin, runs, FARTHER * PIECE), runs, prior, progress)
+    point = _with_more(reached, *pieces_of(begin, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, begin, runs, runs, prior, progress)
     return _with_converters_and_shaft(point, begin.tolerance, prior)
 

@@ -115,11 +115,17 @@ def _confounded(fit: Fit, keys: tuple[str, ...], untold: Mapping[str, str]) -> t
     while unsure:
         group, rest = [unsure[0]], unsure[1:]
         for key in group:
-            near = [b for b in rest if abs(table[told.index(key), told.index(b)]) > TIED]
+            tie = np.abs(table[told.index(key)])
+            near = [b for b in rest if tie[told.index(b)] > TIED]
             group += near
             rest = [b for b in rest if b not in near]
         unsure = rest
-        names = " and ".join([", ".join(group[:-1]), group[-1]] if group[1:] else group)
+        if not group[1:]:
+            # Tied to several, to none of them alone so closely: the closest is named.
+            tie = np.abs(table[told.index(group[0])])
+            tie[told.index(group[0])] = 0.0
+            group.append(told[int(np.argmax(tie))])
+        names = " and ".join([", ".join(group[:-1]), group[-1]])
         least = min(alone[key] for key in group)
         sentences.append(
             f"{names}: these recordings tell them only together "

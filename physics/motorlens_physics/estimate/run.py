@@ -45,8 +45,6 @@ ROWS = 30_000
 COARSEST = 32
 # Noise, in steps, from which on levels are a converter's.
 TOGGLES = 0.05
-# The lean of a converter from which on its steps show.
-LEANS = 0.05
 # From one sample to the next at rated speed, rad: further, the angle is anybody's guess.
 HALF_TURN = 3.14
 # Consecutive samples of exactly 0, at the start or the end, that are no chance.
@@ -158,11 +156,6 @@ class Run:
         An encoder of a motor that stands counts nothing, however noisy it is when the motor turns.
         """
         return resting([*self.measured.T, self.inputs.voltage_V, self.inputs.load_torque_Nm])
-
-    @property
-    def coarse(self) -> bool:
-        """Whether a channel's converter should lean: its noise does not blur its steps."""
-        return any(converter.expected > LEANS for converter in self.converters)
 
     def holding(self, held: tuple[bool, bool, bool]) -> "Run":
         """With voltage, load torque and ambient holding between samples, or running linearly, each."""
