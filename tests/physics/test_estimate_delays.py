@@ -18,7 +18,7 @@ from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.estimate.weighed import Errors, Frame, begun, needed
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensitivity import Linearisation
@@ -54,6 +54,26 @@ def fitted(
     rng = np.random.default_rng(seed)
     channels = {q: y + noise * RATED[q] * rng.standard_normal(SAMPLES) for q, y in truth.items()}
     return estimate(FILE, prepare_all([Recording("late.csv", time, channels)], FILE))
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("seed", [13, 53])
+def test_inputs_that_hold_are_not_taken_for_linear_ones_that_are_late(seed: int) -> None:
+    """With 3 % of noise at 10 Hz: a fit that bends to the wrong way has to be asked again, from where it has led."""
+    noise = 0.03
+    rng = np.random.default_rng([310100 + seed, round(1e4 * noise)])
+    truth = plain_motor.scattered(rng)
+    time, channels = plain_motor.recorded(truth, plain_motor.Test(0.1, 12_000, 150, True, noise), rng)
+    channels["ambient"] = AMBIENT_C + noise * RATED["temperature"] * rng.standard_normal(len(time))
+    knowledge = {key: Knowledge(0.3 / np.sqrt(3) * y, "plate") for key, y in TYPICAL.items()}
+    file = MotorFile("plate", Motor(**TYPICAL), PLATE, knowledge=knowledge)
+
+    found = estimate(file, prepare_all([Recording("held.csv", time, channels)], file))
+
+    assert found.fit.model.held[0][:2] == (True, True) and not delays_of(found.fit, found.runs)
+    value, sd = found.fit.model.values(), found.fit.sd()
+    assert all(abs(value[key] - truth[key]) < 3.5 * sd[key] for key in ("R_a0", "L", "ke", "J", "b"))
+    assert sd["J"] < 0.1 * truth["J"]
 
 
 @pytest.mark.fit

@@ -71,22 +71,20 @@ class Timing:
 
     def likeliest(self, point: Weighed, *, free: bool) -> Weighed:
         """The point with the likeliest timing; how inputs ran stays as it is unless it is `free`."""
-        point = self._as_they_ran(point) if free else point
+        # Each way is judged one step away: from where another has led, how inputs ran is asked again.
         for _ in range(REALIGNED):
-            late = self._later(point)
-            if late is point:
+            other = self._later(self._as_they_ran(point) if free else point)
+            if other is point:
                 break
-            point = self._as_they_ran(late) if free else late
+            point = other
         return moved(point, self.prior, self.progress)
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         runs = as_they_ran(point, self.prior)
         if all(one is run for one, run in zip(runs, point.runs, strict=True)):
             return point
-        # Parameters fitted to inputs that ran otherwise have made up for it.
-        none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
-        held = tuple(run.inputs.hold for run in runs)
-        other = self.near(replace(point.model.with_values(none), held=held), runs)
+        # Parameters fitted to inputs that ran otherwise have made up for it: it begins anew without them.
+        other = self.near(replace(self.begin, held=tuple(run.inputs.hold for run in runs)), runs)
         late = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
         return other if gained(point, other, self.prior) > (needed(1) if late else 0.0) else point
 
