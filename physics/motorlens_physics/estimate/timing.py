@@ -83,10 +83,15 @@ class Timing:
         runs = as_they_ran(point, self.prior)
         if all(one is run for one, run in zip(runs, point.runs, strict=True)):
             return point
-        # Parameters fitted to inputs that ran otherwise have made up for it: it begins anew without them.
-        other = self.near(replace(self.begin, held=tuple(run.inputs.hold for run in runs)), runs)
+        none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
+        held = tuple(run.inputs.hold for run in runs)
         late = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
-        return other if gained(point, other, self.prior) > (needed(1) if late else 0.0) else point
+        # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
+        for start in (point.model.with_values(none), self.begin):
+            other = self.near(replace(start, held=held), runs)
+            if gained(point, other, self.prior) > (needed(1) if late else 0.0):
+                return other
+        return point
 
     def _later(self, point: Weighed) -> Weighed:
         """With the channel moved that is late beyond chance, if any is."""
