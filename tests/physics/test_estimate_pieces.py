@@ -1,7 +1,6 @@
 """Long recordings are begun in pieces: the end must be where a search of all samples ends, and where the truth is."""
 
 import dataclasses
-from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -10,9 +9,9 @@ from helpers.plain_motor import RATED, TYPICAL, recorded
 
 from motorlens_physics.estimate import estimate as estimation
 from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.fit import minimise, start_model
+from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.pieces import as_found
-from motorlens_physics.estimate.prior import Prior, base_prior
+from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.estimate.weighed import at, first_point
 from motorlens_physics.motor import Motor
@@ -116,55 +115,6 @@ def test_a_piece_is_the_liveliest_part_and_starts_where_its_samples_say() -> Non
 
 
 PLATE_AMBIENT = PLATE.ambient_C
-
-
-@dataclasses.dataclass(frozen=True)
-class Line:
-    """Errors 3 - x and 1 - 2 x of one parameter (best at x = 1), and a cost that `seen` adds to every point."""
-
-    x: float
-    seen: float = 0.0
-
-    @property
-    def model(self) -> "Line":
-        return self
-
-    def values(self) -> dict[str, float]:
-        return {"x": self.x}
-
-    def with_values(self, values: Mapping[str, float]) -> "Line":
-        return dataclasses.replace(self, x=values["x"])
-
-    @property
-    def cost(self) -> float:
-        return (3 - self.x) ** 2 + (1 - 2 * self.x) ** 2 + self.seen
-
-    def cost_in(self, other: "Line") -> float:
-        return self.cost
-
-    def normal(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([[5.0]]), np.array([(3 - self.x) + 2 * (1 - 2 * self.x)])
-
-
-def test_what_is_found_between_steps_is_no_reason_to_refuse_one() -> None:
-    # From x = 4 the cost falls by 45; what is found there costs 100, at every point, as soon as it is looked at anew.
-    prior = Prior({"x": 0.0}, {"x": 1e6}, {"x": (-1e9, 1e9)})
-    tried: list[float] = []
-
-    def at(line: Line) -> Line:
-        tried.append(line.x)
-        return Line(line.x, seen=100.0)
-
-    end, _, left = minimise(
-        Line(4.0),
-        prior,
-        at,
-        rounds=5,
-        enough=0.01,
-        anew=lambda line: Line(line.x, seen=100.0),  # type: ignore[arg-type]
-    )
-    assert end.x == pytest.approx(1.0, abs=1e-4) and left < 0.01
-    assert tried[:2] == pytest.approx([1.0, 1.0], abs=1e-4)  # the same step again, not a shorter one
 
 
 @pytest.mark.fit

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import near, whole
-from motorlens_physics.estimate.fit import inverse, minimise, start_model
+from motorlens_physics.estimate.fit import NEAREST, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 
 # Steps of a refit, and how near to the minimum it ends, in standard deviations of the result: rivals differ by more.
 ROUNDS, ENOUGH = 10, 0.3
-# See `minimise`: nothing that can only be positive falls to less than this share of itself in one step.
-NEAREST = 0.1
 # Share of the gain that the linearised problem promised below which a refit has lost its way and is begun elsewhere.
 KEPT = 0.5
 # A linear start is not quite at null, where shapes would be undetermined.
@@ -48,7 +46,6 @@ def _refit(point: Weighed, prior: Prior, runs: Sequence[Run]) -> Fitted | None:
             lambda trial: _point(trial, prior, runs),
             rounds=ROUNDS,
             enough=ENOUGH,
-            nearest=NEAREST,
         )
     except ModelError:
         return None

@@ -23,6 +23,11 @@ Array = NDArray[np.float64]
 
 # Damping is tried this often before a fit is taken to be at its end, each ten times the last.
 TRIES = 8
+# A step that is refused is tried again along a curve that turns away by at most this share of its length.
+TURN = 0.5
+# Nothing that can only be positive falls to less than this share of itself in one step: at its bound a linear step would
+# leave it without a slope to come back by.
+NEAREST = 0.1
 # Closer to the minimum than this, in standard deviations of the result, a step gains less than the likelihood can tell, and
 # what the simulation's tolerance does to the cost may be as much: steps are no longer judged by it.
 FLAT = 1.0
@@ -75,6 +80,9 @@ class Point(Protocol):
     def cost_in(self, other: Self) -> float:
         """Its errors' whitened sum of squares as `other`, from which a step led here, weighs them."""
 
+    def products_in(self, other: Self) -> tuple[Array, float]:
+        """Its errors times the sensitivities (k,) and times the errors of `other`, whitened as `other` weighs them."""
+
 
 def start_model(file: MotorFile, runs: Sequence[Run]) -> Model:
     """The motor file as it is, every run starting where its first samples say."""
@@ -96,7 +104,6 @@ def minimise(
     rounds: int,
     enough: float,
     damping: float = 1e-6,
-    nearest: float = 0.0,
     between: Callable[[P], P] = lambda point: point,
     anew: Callable[[P], P] = lambda point: point,
     progress: Callable[[str], None] = lambda text: None,
@@ -110,8 +117,6 @@ def minimise(
         rounds: at most this many steps.
         enough: stop this close to the minimum, in standard deviations of the result.
         damping: of the first step, a share of the diagonal.
-        nearest: share of itself below which nothing that can only be positive may fall in one step: at its bound a linear
-            step would leave it without a slope to come back by.
         between: what is done at a point before the step from it, such as finding its noise.
         anew: the point as `at` sees it after `between`; the same object if that changes nothing. A step that is refused is
             tried once more from there before it is damped: what `between` found may cost more than the step won.
@@ -128,35 +133,40 @@ def minimise(
     scale = np.array([prior.sd[key] for key in keys])
     gram, left = np.diag(1 / scale**2), float("inf")
     whole, share = np.zeros(len(keys)), 1.0
+
+    def tried(step: Array) -> tuple[P | None, float]:
+        """Where a step leads, and what it costs there as the point it starts from sees it."""
+        values = point.model.values()
+        there = dict(zip(keys, (_vector(values, keys) + step).tolist(), strict=True))
+        try:
+            trial = at(point.model.with_values(there))
+            reached = trial.cost_in(point) + prior.penalty(trial.model.values())
+        except ModelError:
+            return None, np.inf
+        return (trial, reached) if np.isfinite(reached) else (None, np.inf)
+
     for k in range(rounds):
         point = between(point)
-        values = point.model.values()
         before, last = left, whole
-        gram, gradient, cost, whole = _seen(point, prior, nearest)
+        gram, gradient, cost, whole = _seen(point, prior)
         left = _length(whole, gram)
         if left < enough or before <= left < CONVERGED:
             break
         share = _share(share, last, whole, gram) if max(before, left) < FLAT else 1.0
         moved, fresh = False, False
         for _ in range(TRIES):
-            step = share * _step(values, prior, gram, gradient, damping, nearest)
-            try:
-                trial = at(
-                    point.model.with_values(
-                        dict(zip(keys, (_vector(values, keys) + step).tolist(), strict=True))
-                    )
-                )
-                reached = trial.cost_in(point) + prior.penalty(trial.model.values())
-            except ModelError:
-                reached = np.inf
-            if np.isfinite(reached) and (reached < cost or left < FLAT):
-                moved = True
+            step = share * _step(point.model.values(), prior, gram, gradient, damping)
+            trial, reached = tried(step)
+            if trial is not None and reached >= cost and left >= FLAT:
+                trial, reached = tried(_turned(step, point, trial, prior, gram, gradient, damping))
+            if trial is not None and (reached < cost or left < FLAT):
+                point, moved = trial, True
                 break
             if not fresh:
                 fresh, stale = True, point
                 point = anew(stale)
                 if point is not stale:
-                    gram, gradient, cost, whole = _seen(point, prior, nearest)
+                    gram, gradient, cost, whole = _seen(point, prior)
                     left = _length(whole, gram)
                     continue
             damping = max(damping * 10, 1e-4)
@@ -164,12 +174,50 @@ def minimise(
                 break
         if not moved:
             break
-        point, damping = trial, max(damping / 10, 1e-9)
+        damping = max(damping / 10, 1e-9)
         progress(f"step {k + 1}: {left:.3g} standard deviations to go")
     return point, gram, left
 
 
-def _seen(point: Point, prior: Prior, nearest: float) -> tuple[Array, Array, float, Array]:
+def _turned(
+    step: Array, point: P, trial: P, prior: Prior, gram: Array, gradient: Array, damping: float
+) -> Array:
+    """A step (k,) along a curve that follows how the errors bend: a step that was refused shows that where it led.
+
+    With errors e(t) = e - t J v + t^2 q along the step v, what J can undo of the bend q turns the way, v t + a t^2, and the
+    rest of q says how far to go (geodesic acceleration: Transtrum, Machta and Sethna 2011, doi:10.1103/PhysRevE.83.036701).
+    """
+    keys, values = prior.keys, point.model.values()
+    known = np.array([prior.sd[key] for key in keys]) ** -2.0
+    # What is known of the parameters beforehand does not bend.
+    pull = gradient - known * (_vector(prior.centre, keys) - _vector(values, keys))
+    along = gram @ step - known * step
+    seen, overlap = trial.products_in(point)
+    bend = seen - pull + along
+    turn = _step(values, prior, gram, bend, damping)
+    linear = point.cost - pull @ step
+    across = overlap - linear
+    size = trial.cost_in(point) - 2 * (overlap - seen @ step) + linear - pull @ step + along @ step
+    # The cost along the curve, from t^4 to t^1.
+    course = np.array(
+        [
+            turn @ gram @ turn - 2 * turn @ bend + size,
+            2 * (step @ gram @ turn - step @ bend),
+            step @ gram @ step - 2 * (gradient @ turn - across),
+            -2 * gradient @ step,
+            0.0,
+        ]
+    )
+    farthest = min(1.0, TURN * _length(step, gram) / max(_length(turn, gram), 1e-300))
+    flat = np.roots(np.polyder(course))
+    ends = np.append(flat[np.isreal(flat)].real, farthest)
+    ends = ends[(ends > 0) & (ends <= farthest)]
+    t = ends[np.argmin(np.polyval(course, ends))]
+    low, high = _room(values, prior)
+    return np.asarray(np.clip(t * step + t**2 * turn, low, high))
+
+
+def _seen(point: Point, prior: Prior) -> tuple[Array, Array, float, Array]:
     """At a point, with what is known beforehand: J^T J (k, k), J^T e (k,), the cost, and the step to the minimum (k,).
 
     Raises:
@@ -182,7 +230,7 @@ def _seen(point: Point, prior: Prior, nearest: float) -> tuple[Array, Array, flo
         raise ModelError("the model's response to its parameters has no bound; start from other values")
     gram = gram + np.diag(1 / width**2)
     gradient = gradient + (_vector(prior.centre, keys) - _vector(values, keys)) / width**2
-    step = _step(values, prior, gram, gradient, 0.0, nearest)
+    step = _step(values, prior, gram, gradient, 0.0)
     return gram, gradient, point.cost + prior.penalty(values), step
 
 
@@ -210,27 +258,30 @@ def _vector(values: Mapping[str, float], keys: Sequence[str]) -> Array:
     return np.array([values[key] for key in keys])
 
 
-def _step(
-    values: Mapping[str, float], prior: Prior, gram: Array, gradient: Array, damping: float, nearest: float
-) -> Array:
+def _step(values: Mapping[str, float], prior: Prior, gram: Array, gradient: Array, damping: float) -> Array:
     """The damped step within bounds: parameters that it would push through stop there, and the rest is solved again."""
     keys = prior.keys
-    at = _vector(values, keys)
-    low, high = (np.array([prior.bounds[key][side] for key in keys]) for side in (0, 1))
-    low = np.where(low > 0, np.maximum(low, nearest * at), low)
+    low, high = _room(values, prior)
     free, move = np.ones(len(keys), dtype=bool), np.zeros(len(keys))
     damped = gram + damping * np.diag(np.diagonal(gram))
     for _ in range(4):
         right = gradient[free] - gram[np.ix_(free, ~free)] @ move[~free]
         move[free] = inverse(damped[np.ix_(free, free)]) @ right
-        beyond = free & ((at + move < low) | (at + move > high))
+        beyond = free & ((move < low) | (move > high))
         if not beyond.any():
             break
-        move[beyond] = np.clip(at[beyond] + move[beyond], low[beyond], high[beyond]) - at[beyond]
+        move[beyond] = np.clip(move[beyond], low[beyond], high[beyond])
         free &= ~beyond
         if not free.any():
             break
-    return np.clip(at + move, low, high) - at
+    return np.clip(move, low, high)
+
+
+def _room(values: Mapping[str, float], prior: Prior) -> tuple[Array, Array]:
+    """How far each parameter may go down and up in one step (k,)."""
+    at = _vector(values, prior.keys)
+    low, high = (np.array([prior.bounds[key][side] for key in prior.keys]) for side in (0, 1))
+    return np.where(low > 0, np.maximum(low, NEAREST * at), low) - at, high - at
 
 
 @dataclass(frozen=True)
@@ -275,6 +326,15 @@ class _Averaged:
 
     def cost_in(self, other: Self) -> float:
         return self.cost
+
+    def products_in(self, other: Self) -> tuple[Array, float]:
+        products, overlap = np.zeros(len(self.keys)), 0.0
+        for r, (run, mine) in enumerate(zip(self.runs, self.mine, strict=True)):
+            z = (other.columns[r][run.fresh()] / self.sizes[r][:, None]).reshape(-1, len(mine))
+            errors = self._errors(r).ravel()
+            products[mine] += z.T @ errors
+            overlap += float(other._errors(r).ravel() @ errors)
+        return products, overlap
 
     def normal(self) -> tuple[Array, Array]:
         gram, gradient = np.zeros((len(self.keys), len(self.keys))), np.zeros(len(self.keys))

@@ -215,12 +215,29 @@ class Weighed:
 
     def cost_in(self, other: "Weighed") -> float:
         """The whitened sum of squares of its errors, seen in the frames of another point."""
+        return sum(on_all_cores(Errors.squares, self._in(other))) / self.inflation
 
-        def one(pair: tuple[Errors, Frame]) -> float:
-            part, frame = pair
-            return replace(part, frame=frame, error=frame.error(part.difference)).squares()
+    def products_in(self, other: "Weighed") -> tuple[Array, float]:
+        """Its whitened errors times the sensitivities (k,) and times the errors of another point, seen in its frames."""
 
-        return sum(on_all_cores(one, zip(self.parts, other.frames, strict=True))) / self.inflation
+        def one(pair: tuple[Errors, Errors]) -> Array:
+            part, there = pair
+            columns = np.concatenate([there.columns, there.error[:, :, None]], axis=2)
+            return np.asarray(sums(part.space, columns, part.error, 1).scores[0])
+
+        products = np.zeros(self.size + 1)
+        for part, scores in zip(
+            other.parts, on_all_cores(one, zip(self._in(other), other.parts, strict=True)), strict=True
+        ):
+            products[[*part.mine, self.size]] += scores / self.inflation
+        return products[:-1], float(products[-1])
+
+    def _in(self, other: "Weighed") -> list[Errors]:
+        """Its errors seen in the frames of another point."""
+        return [
+            replace(part, frame=frame, error=frame.error(part.difference))
+            for part, frame in zip(self.parts, other.frames, strict=True)
+        ]
 
     def tempered(self) -> "Weighed":
         """With an inflation by which blocks of time scatter more than their noise says, at least 1.
