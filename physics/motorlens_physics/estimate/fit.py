@@ -11,6 +11,7 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from motorlens_physics.estimate.model import Model, sensitivities_of
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
@@ -152,7 +153,7 @@ def minimise(
         left = _length(whole, gram)
         if left < enough or before <= left < CONVERGED:
             break
-        share = _share(share, last, whole, gram) if max(before, left) < FLAT else 1.0
+        share = _share(share, last, whole, gram) if max(before, left) < FLAT or last @ gram @ whole < 0 else 1.0
         moved, fresh = False, False
         for _ in range(TRIES):
             step = share * _step(point.model.values(), prior, gram, gradient, damping)
@@ -259,22 +260,23 @@ def _vector(values: Mapping[str, float], keys: Sequence[str]) -> Array:
 
 
 def _step(values: Mapping[str, float], prior: Prior, gram: Array, gradient: Array, damping: float) -> Array:
-    """The damped step within bounds: parameters that it would push through stop there, and the rest is solved again."""
-    keys = prior.keys
+    """The damped step that costs least within bounds."""
     low, high = _room(values, prior)
-    free, move = np.ones(len(keys), dtype=bool), np.zeros(len(keys))
     damped = gram + damping * np.diag(np.diagonal(gram))
-    for _ in range(4):
-        right = gradient[free] - gram[np.ix_(free, ~free)] @ move[~free]
-        move[free] = inverse(damped[np.ix_(free, free)]) @ right
-        beyond = free & ((move < low) | (move > high))
-        if not beyond.any():
-            break
-        move[beyond] = np.clip(move[beyond], low[beyond], high[beyond])
-        free &= ~beyond
-        if not free.any():
-            break
-    return np.clip(move, low, high)
+    move = inverse(damped) @ gradient
+    if np.all((low <= move) & (move <= high)):
+        return np.asarray(move)
+    # |A x - b|^2 with A'A the damped J^T J and A'b the gradient, in units in which the diagonal is 1.
+    scale = np.sqrt(np.diagonal(damped))
+    spread, vectors = _axes(damped / np.outer(scale, scale))
+    root = np.sqrt(spread)
+    within = lsq_linear(
+        root[:, None] * vectors.T,
+        vectors.T @ (gradient / scale) / root,
+        (low * scale, high * scale),
+        method="bvls",
+    )
+    return np.asarray(np.clip(within.x / scale, low, high))
 
 
 def _room(values: Mapping[str, float], prior: Prior) -> tuple[Array, Array]:
@@ -383,6 +385,11 @@ def _sizes(residual: Array, run: Run) -> Array:
 def inverse(gram: Array) -> Array:
     """Of a symmetric positive matrix, directions that are not determined kept finite."""
     scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    values = np.maximum(values, 1e-13 * values.max(initial=0.0))
-    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+    spread, vectors = _axes(gram / np.outer(scale, scale))
+    return np.asarray((vectors / spread) @ vectors.T / np.outer(scale, scale))
+
+
+def _axes(gram: Array) -> tuple[Array, Array]:
+    """Eigenvalues (k,), those of directions that are not determined kept above nothing, and eigenvectors (k, k)."""
+    spread, vectors = np.linalg.eigh(gram)
+    return np.maximum(spread, 1e-13 * spread.max(initial=0.0)), vectors
