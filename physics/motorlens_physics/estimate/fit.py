@@ -153,7 +153,7 @@ def minimise(
         left = _length(whole, gram)
         if left < enough or before <= left < CONVERGED:
             break
-        share = _share(share, last, whole, gram) if max(before, left) < FLAT or last @ gram @ whole < 0 else 1.0
+        share = _share(share, last, whole, gram)
         moved, fresh = False, False
         for _ in range(TRIES):
             step = share * _step(point.model.values(), prior, gram, gradient, damping)
@@ -236,7 +236,7 @@ def _seen(point: Point, prior: Prior) -> tuple[Array, Array, float, Array]:
 
 
 def _share(before: float, last: Array, step: Array, gram: Array) -> float:
-    """How much of a step (k,) to go after another one, of which that share was gone.
+    """How much of a step (k,) to go that turns back on another one, of which that share was gone.
 
     Each step is told in the frame and under the noise of the point before it. Where those change with the parameters, steps
     swing about the end, for ever if they are as long as the last: Aitken's relaxation ends that (Irons and Tuck 1969,
@@ -246,8 +246,9 @@ def _share(before: float, last: Array, step: Array, gram: Array) -> float:
     (0.5, 1.0)
     """
     change = step - last
-    moved = float(change @ gram @ change)
-    return min(1.0, max(0.0, -before * float(last @ gram @ change) / moved) or 1.0) if moved > 0 else before
+    if last @ gram @ step >= 0:
+        return 1.0
+    return min(1.0, -before * float(last @ gram @ change) / float(change @ gram @ change))
 
 
 def _length(step: Array, gram: Array) -> float:
