@@ -209,7 +209,9 @@ def _turned(
             0.0,
         ]
     )
-    farthest = min(1.0, TURN * _length(step, gram) / max(_length(turn, gram), 1e-300))
+    # How long they are is compared as damping weighs them: a step along a valley is short in what it changes.
+    lengths = np.sqrt(np.diagonal(gram) @ np.square([step, turn]).T)
+    farthest = min(1.0, TURN * lengths[0] / max(lengths[1], 1e-300))
     flat = np.roots(np.polyder(course))
     ends = np.append(flat[np.isreal(flat)].real, farthest)
     ends = ends[(ends > 0) & (ends <= farthest)]
@@ -271,13 +273,17 @@ def _step(values: Mapping[str, float], prior: Prior, gram: Array, gradient: Arra
     scale = np.sqrt(np.diagonal(damped))
     spread, vectors = _axes(damped / np.outer(scale, scale))
     root = np.sqrt(spread)
-    within = lsq_linear(
-        root[:, None] * vectors.T,
-        vectors.T @ (gradient / scale) / root,
-        (low * scale, high * scale),
-        method="bvls",
+    able, within = low < high, np.clip(np.zeros(len(low)), low, high)
+    within[able] = (
+        lsq_linear(
+            root[:, None] * vectors.T[:, able],
+            vectors.T @ (gradient / scale) / root,
+            (low[able] * scale[able], high[able] * scale[able]),
+            method="bvls",
+        ).x
+        / scale[able]
     )
-    return np.asarray(np.clip(within.x / scale, low, high))
+    return np.clip(within, low, high)
 
 
 def _room(values: Mapping[str, float], prior: Prior) -> tuple[Array, Array]:
