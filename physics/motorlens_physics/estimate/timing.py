@@ -19,6 +19,7 @@ from motorlens_physics.estimate.weighed import (
     begun,
     from_noise,
     gained,
+    gained_in_both,
     minimised,
     needed,
 )
@@ -89,7 +90,7 @@ class Timing:
         # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
         for start in (point.model.with_values(none), self.begin):
             other = self.near(replace(start, held=held), runs)
-            if gained(point, other, self.prior) > (needed(1) if late else 0.0):
+            if gained_in_both(point, other, self.prior) > (needed(1) if late else 0.0):
                 return other
         return point
 

@@ -387,6 +387,11 @@ def gained(point: Weighed, other: Weighed, prior: Prior) -> float:
     return won / point.tempered().inflation
 
 
+def gained_in_both(point: Weighed, other: Weighed, prior: Prior) -> float:
+    """The same in the mean of the frames of both: inputs that ran otherwise bend a fit, and its frame is that of the bent."""
+    return 0.5 * (gained(point, other, prior) - gained(other, point, prior))
+
+
 def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
     """(N, C, ...) with each channel moved later by some samples; what comes in at an end is 0."""
     if not any(samples):
