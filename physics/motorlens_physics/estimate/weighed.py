@@ -388,7 +388,7 @@ def gained(point: Weighed, other: Weighed, prior: Prior) -> float:
 
 
 def gained_in_both(point: Weighed, other: Weighed, prior: Prior) -> float:
-    """The same in the mean of the frames of both: inputs that ran otherwise bend a fit, and its frame is that of the bent."""
+    """The same in the mean of both frames: where inputs ran otherwise a fit bends, and looks best in its own."""
     return 0.5 * (gained(point, other, prior) - gained(other, point, prior))
 
 
