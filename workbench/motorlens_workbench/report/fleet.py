@@ -130,7 +130,11 @@ def to_html(fleet: Fleet, motor: str, command: str) -> Page:
         "motors and parameters counted; odd motors take no part in the population."
     )
     if fleet.failed:
-        summary.append(f"{_count(len(fleet.failed), 'recording')} could not be used; they are listed below.")
+        empty = sum(bool(outcome.entry.lacks) for outcome in fleet.failed)
+        spoilt = len(fleet.failed) - empty
+        lost = [f"{_count(spoilt, 'recording')} could not be used"] if spoilt else []
+        lost += [f"{_count(empty, 'folder')} held none"] if empty else []
+        summary.append(f"{', '.join(lost)}: listed below.")
     sections = [Section("Odd motors", _odd_content(fleet)), Section("The make", _make_content(fleet))]
     if fleet.diagnoses:
         table = Table(
