@@ -274,7 +274,7 @@ def test_a_spread_that_another_one_does_for_is_not_said_to_be_told(spread, power
         solved = solve(data, found.likely[0], found.psi)
         sd = np.sqrt(np.diagonal(solved.motor_covariance, axis1=1, axis2=2))
         covered.append(np.mean(np.abs(solved.mean + solved.motor - truth) < 1.96 * sd))
-    # If each is 1 %, more than 4 are a chance of one in three thousand. Were the other spread held where it is: 16 of the second.
+    # If each is 1 %, more than 4 are a chance of one in three thousand; with the other spread held, 16 of the second were.
     assert told[none] <= 4
     assert told[1 - none] > power * fleets
     # Both are reckoned with: whichever it is, intervals hold.
