@@ -363,7 +363,10 @@ def _spread(fleet: Fleet, row: int, k: int) -> str:
     unit = _unit_of_spread(fleet, k)
 
     def shown(value: float) -> str:
-        return f"{100 * value * unit:.2g} %" if found.scale.relative[k] else f"{value * unit:.2g}"
+        if not found.scale.relative[k]:
+            return f"{value * unit:.2g}"
+        percent = 100 * value * unit
+        return f"{percent:.2g} %" if percent < 99.5 else f"{percent:.0f} %"
 
     return shown(float(size)) if told else f"below {shown(2 * likely)}"
 
