@@ -5,7 +5,8 @@
     python benchmarks/collect.py --only paper    those whose title holds a word
     python benchmarks/collect.py --write         runs nothing, writes the documents from what was printed before
 
-What was not run keeps what it printed before, with the commit it was printed at; a study that fails is shown as failed.
+What was not run keeps what it printed before, with the commit it was printed at; a study that fails is shown as failed, with
+the last line that it said of that, beside its figures.
 Exit status 1 if one fails.
 """
 
@@ -31,6 +32,8 @@ QUICK_MINUTES, USUAL_MINUTES = 2, 10
 # A study may take so many times its estimate: machines differ, and are busy.
 PATIENCE = 10
 BEGIN, END = "<!-- written by make bench -->", "<!-- end of what make bench writes -->"
+# How a study says how far it is (`motorlens_runtime.progress`, and in words of its own): no figure, and no reason to fail.
+PROGRESS = re.compile(r" \d+ %, \d+ s left|^\d+(/| of )\d+ |: done after \d+ s$")
 Entry = dict[str, Any]
 
 
@@ -93,11 +96,11 @@ def measured(study: Entry) -> Entry:
             break
     keep = re.compile(study.get("keep", ""))
     lines = [line.rstrip() for line in out.splitlines() if keep.search(line)]
-    if status:
-        lines += [line.rstrip() for line in error.splitlines()[-3:]]
+    said = [line.strip() for line in error.splitlines() if line.strip() and not PROGRESS.search(line)]
     return {
         "command": study["command"], "commit": commit(), "date": datetime.date.today().isoformat(), "machine": machine(),
         "load": round(load, 1), "seconds": round(time.monotonic() - begun), "status": status, "lines": lines,
+        **({"error": said[-1]} if status and said else {}),
     }  # fmt: skip
 
 
@@ -142,7 +145,8 @@ def page(studies: list[Entry], store: dict[str, Entry]) -> str:
             text += [f"Not run on this commit; it takes about {study['minutes']} minutes.", ""]
             continue
         elsewhere = "" if entry["machine"] == machine() else f", {entry['machine']}"
-        failed = "" if entry["status"] == 0 else f" **Exit status {entry['status']}.**"
+        why = f" `{entry['error']}`" if "error" in entry else ""
+        failed = "" if entry["status"] == 0 else f" **Exit status {entry['status']}.**{why}"
         text += [
             f"At {entry['commit']} on {entry['date']}, load {entry['load']}, {entry['seconds']} s{elsewhere}.{failed}",
             "", "```", *entry["lines"], "```", "",

@@ -38,6 +38,8 @@ _costly: dict[str, float] = {}
 # for: said of so long a run, so many files of it.
 _LONG_S, _SHOWN = 60.0, 25
 _by_file: dict[str, tuple[float, float]] = {}
+# Whether what was imported is looked through again.
+_thawed: list[bool] = []
 
 # A change lands or not for what it does, not for what was drawn: the same examples in each run, and as many seconds as a
 # busy machine needs. `--hypothesis-profile search` draws new ones.
@@ -73,6 +75,14 @@ def pytest_collection_finish() -> None:
     `motorlens run` anew, which collects before it begins."""
     gc.collect()
     gc.freeze()
+    # Noted where it happens: to count what is frozen takes a twentieth of a second, and was asked after each test.
+    thaw = gc.unfreeze
+
+    def unfreeze() -> None:
+        thaw()
+        _thawed.append(True)
+
+    gc.unfreeze = unfreeze
 
 
 @pytest.hookimpl(wrapper=True)
@@ -91,8 +101,9 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
     """Note what was used until all that a test has started had ended."""
     yield from _measured(item, "teardown")
-    if not gc.get_freeze_count():
+    if _thawed:
         gc.freeze()  # a `motorlens run` has let go of all
+        _thawed.clear()
 
 
 def _measured(item: pytest.Item, phase: str) -> Iterator[None]:

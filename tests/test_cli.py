@@ -68,7 +68,9 @@ def test_the_overview_names_every_command_without_loading_what_is_heavy() -> Non
         (["simulate", MOTOR, "--effect", "coulomb_friction.tau_c=-1", "-o", "x.csv"], 1, "outside 0 to"),
         (["simulate", "nowhere.toml", "-o", "x.csv"], 1, "nowhere.toml: No such file or directory"),
         (["simulate", MOTOR, "--noise", "0.5", "-o", "x.csv"], 1, "say of which channel"),
-        (["simulate", "README.md", "-o", "x.csv"], 1, "not a motor file"),
+        (["simulate", "README.md", "-o", "x.csv"], 1, "not a motor file; it is TOML, *.toml, or the name of a shipped one"),
+        (["look", "docs"], 1, "docs: a folder; name the recordings in it, as docs/*.csv"),
+        (["look", MOTOR], 1, f"a motor file is given as --motor {MOTOR}"),
     ],
 )  # fmt: skip
 def test_a_mistake_gets_one_line(arguments: list[str], status: int, said: str) -> None:
@@ -77,7 +79,7 @@ def test_a_mistake_gets_one_line(arguments: list[str], status: int, said: str) -
     assert said in done.stderr
     if status == 1:
         assert done.stderr.count("\n") == 1
-        assert done.stderr.startswith("motorlens simulate: ")
+        assert done.stderr.startswith(f"motorlens {arguments[0]}: ")
 
 
 @pytest.mark.fit

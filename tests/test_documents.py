@@ -110,6 +110,28 @@ def test_what_was_measured_is_what_the_commands_printed():
     assert collect.with_table(README, TABLE, store) == README
 
 
+@pytest.mark.fit
+def test_a_study_that_fails_shows_its_figures_and_why_but_no_progress(tmp_path):
+    script = tmp_path / "study.py"
+    script.write_text(
+        "import sys\n"
+        "from motorlens_runtime import progress\n"
+        "progress._QUIET_S = progress._EVERY_S = 0.0\n"
+        "print('speed rms 0.25 rad/s')\n"
+        "print('speed: missed by 0.05 rad/s', file=sys.stderr)\n"
+        "with progress.Progress(3, 'worlds') as bar:\n"
+        "    for k in range(3):\n"
+        "        bar.update(k + 1, '(of 3)')\n"
+        "print('2/3 world-2', file=sys.stderr)\n"
+        "sys.exit(1)\n"
+    )
+    entry = collect.measured({"title": "t", "command": f"python {script}", "minutes": 1})
+    assert (entry["status"], entry["lines"]) == (1, ["speed rms 0.25 rad/s"])
+    assert entry["error"] == "speed: missed by 0.05 rad/s"
+    page = collect.page([{"title": "t", "command": entry["command"], "minutes": 1}], {"t": entry})
+    assert "**Exit status 1.** `speed: missed by 0.05 rad/s`\n\n```\nspeed rms 0.25 rad/s\n```" in page
+
+
 def test_a_figure_is_taken_from_what_was_printed():
     row = {"study": "s", "find": r"rms +([\d.]+) rad/s", "say": "{} rad/s"}
     entry = {"lines": ["speed  rms  0.25 rad/s", "done"]}

@@ -1,7 +1,8 @@
 """What the commands are given that hold a motor file against recordings: the same flags, read the same way."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from motorlens_physics.recording import Recording
 
 Spans = Mapping[str, tuple[float, float]]
+
+# A file that is larger takes a moment to be read.
+LARGE_BYTES = 10_000_000
 
 
 def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = True) -> None:
@@ -73,13 +77,17 @@ class CommandInputs:
     shaft: str | None = None
     spans: Spans = field(default_factory=dict)
 
-    def recordings(self, paths: Sequence[str]) -> "list[Recording]":
-        """Read recordings. Raises DataError and OSError, see `recording.read_recording`."""
+    def recordings(
+        self, paths: Sequence[str], say: Callable[[str], None] = lambda text: None
+    ) -> "list[Recording]":
+        """Read recordings; `say` is told of large ones. Raises DataError and OSError, see `recording.read_recording`."""
         from motorlens_physics.ranges import within
         from motorlens_physics.recording import read_recording, under
 
         found = []
         for path in paths:
+            if os.path.isfile(path) and os.path.getsize(path) > LARGE_BYTES:
+                say(f"reading {path}")
             whole = under(read_recording(path, self.columns, self.no_values), self.terminal, self.shaft)
             found.append(within(whole, path, self.spans))
         return found

@@ -6,7 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.compile.types import IMPOSES_CURRENT, IMPOSES_SPEED, LOCKS, OPENS, SHORTS, SLOPES
+from motorlens_physics.compile.types import (
+    IMPOSED_SLOPES,
+    IMPOSES_CURRENT,
+    IMPOSES_SPEED,
+    LOCKS,
+    OPENS,
+    SHORTS,
+    SLOPES,
+)
 from motorlens_physics.conditions import Shaft, Terminal, codes
 from motorlens_runtime.errors import DataError
 
@@ -91,18 +99,21 @@ class Inputs:
 def acting_of(inputs: Inputs) -> tuple[Array, NDArray[np.int64]]:
     """What acts on the motor from each sample on, and what is imposed, see `compile.types.Given`."""
     samples, spans = inputs.time_s.size, np.diff(inputs.time_s)
-    acting = np.zeros((samples, 10))
+    free = inputs.terminal is None and inputs.shaft is None
+    acting = np.zeros((samples, IMPOSED_SLOPES if free else 10))
 
     def put(value: int, slope: int, y: Array, runs: NDArray[np.bool_] | bool) -> None:
         acting[:, value] = y
         if samples > 1:
-            acting[:-1, slope] = np.diff(y) / spans * runs
+            slopes = acting[:-1, slope]
+            np.divide(np.diff(y), spans, out=slopes)
+            slopes *= runs
             acting[-1, slope] = acting[-2, slope]
 
     held = inputs.hold
     for j, y in enumerate((inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C)):
         put(j, SLOPES + j, y, not held[j])
-    if inputs.terminal is None and inputs.shaft is None:
+    if free:
         return acting, _NOTHING_IMPOSED
     terminal = np.zeros(samples, dtype=np.int64) if inputs.terminal is None else inputs.terminal
     shaft = np.zeros(samples, dtype=np.int64) if inputs.shaft is None else inputs.shaft

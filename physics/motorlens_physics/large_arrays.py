@@ -17,8 +17,20 @@ def give_back() -> None:
     Once one has been dropped, glibc keeps all of its size in one heap (mallopt(3): the threshold grows), where the holes
     between arrays that live on stay: a tenth of the memory of a long recording. Elsewhere nothing is done.
     """
-    library = ctypes.CDLL(None) if sys.platform == "linux" else None
-    if library is not None and hasattr(library, "mallopt"):
+    library = _glibc()
+    if library is not None:
         library.mallopt(_MMAP_THRESHOLD, _LARGE_OCTETS)
         library.mallopt(_TRIM_THRESHOLD, _KEPT_OCTETS)
         library.mallopt(_ARENA_MAX, _ARENAS)
+
+
+def sweep() -> None:
+    """Give back what many smaller arrays have left, holes in the midst of the heap too (malloc_trim(3)): once, now."""
+    library = _glibc()
+    if library is not None:
+        library.malloc_trim(0)
+
+
+def _glibc() -> ctypes.CDLL | None:
+    library = ctypes.CDLL(None) if sys.platform == "linux" else None
+    return library if library is not None and hasattr(library, "mallopt") else None

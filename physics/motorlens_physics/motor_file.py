@@ -112,7 +112,8 @@ def read_motor_file(path: Path | str, effects_from: Iterable[type[Effect]] = ())
         text = path.read_text(encoding="utf-8")
         document = tomllib.loads(text)
     except ValueError as error:  # no text, or no TOML
-        raise ModelError(f"{where}: not a motor file: {error}") from None
+        hint = "" if path.suffix.lower() == ".toml" else "; it is TOML, *.toml, or the name of a shipped one"
+        raise ModelError(f"{where}: not a motor file{hint}: {error}") from None
     _known(document, _TOP, where, "")
     if document.get("schema") != SCHEMA:
         raise ModelError(f"{where}: schema is {document.get('schema')!r}, expected {SCHEMA!r}")

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from motorlens_runtime.errors import DataError, DeviceError, MotorlensError
@@ -26,6 +27,8 @@ U = TypeVar("U")
 RETRIES = 2
 # A task whose workers have died this often is taken to be what kills them.
 DEATHS = 3
+# A scheduler that has not answered after so long is not there.
+ANSWERS_S = 5.0
 # A result that has not come from its worker after so long is lost with it.
 PATIENCE_S = 30.0
 _ONE_THREAD = {
@@ -97,7 +100,7 @@ def settings() -> Mapping[str, Any]:
         "distributed.worker.daemon": True,
         # A hundred looks a second at what a worker does fill its memory, and nobody reads them.
         "distributed.worker.profile.enabled": False,
-        # One task at a time a worker: when it dies, no other that waits there is blamed.
+        # One task at a time a worker: when it dies, no other that waits there is blamed, see `worked`.
         "distributed.scheduler.worker-saturation": 1.0,
         # Said in our own words.
         "distributed.admin.log-format": "%(message)s",
@@ -126,7 +129,7 @@ def cluster(
     with dask.config.set(settings()):
         if scheduler is not None:
             try:
-                client = Client(scheduler, timeout="5s")
+                client = Client(scheduler, timeout=ANSWERS_S)
             except (OSError, ValueError) as error:
                 raise DeviceError(
                     f"--scheduler {scheduler}: no Dask scheduler answers ({error}); start one with `dask scheduler`"
@@ -179,13 +182,23 @@ def worked(
         numbers[future.key] = number
         return future
 
+    def fill() -> None:
+        # As many as there are threads now: where more wait at a worker, what ends it is not told from what waits behind.
+        try:
+            room = max(sum(client.nthreads().values()), 1) - len(numbers)
+        except (OSError, CommClosedError, TimeoutError):
+            raise gone from None
+        finished.update([submitted(number) for number in islice(waiting, max(room, 0))])
+
     numbers: dict[str, int] = {}
     lost = [0] * len(tasks)
-    finished = as_completed([submitted(number) for number in range(len(tasks))], raise_errors=False)
+    waiting, finished = iter(range(len(tasks))), as_completed(raise_errors=False, loop=client.loop)
+    fill()
     for future in finished:
         number = numbers.pop(future.key)
         if future.status == "cancelled":
             raise gone
+        fill()
         error = future.exception(timeout=PATIENCE_S) if future.status == "error" else None
         if error is None:
             try:
@@ -200,7 +213,9 @@ def worked(
                 else:
                     finished.add(submitted(number))
         elif isinstance(error, KilledWorker):
-            yield Done(number, None, f"ended {DEATHS + 1} workers: out of memory? (--memory)")
+            ended = error.allowed_failures + 1
+            workers = f"{ended} worker{'' if ended == 1 else 's'}"
+            yield Done(number, None, f"ended {workers}: out of memory? (--memory)")
         elif isinstance(error, MotorlensError | OSError):
             yield Done(number, None, " ".join(str(error).split()))
         else:

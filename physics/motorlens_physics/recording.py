@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from motorlens_physics.conditions import Shaft, Terminal, code, codes
 from motorlens_physics.reading import read_table
 from motorlens_physics.reading.clock import steady
-from motorlens_physics.reading.suspicion import computed_from, gaps_and_channels, no_value
+from motorlens_physics.reading.suspicion import computed_from, gaps_and_channels, lost_samples, no_value
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import (
@@ -26,6 +26,7 @@ from motorlens_runtime.files.columns import (
     in_seconds,
     parse_mapping,
     require,
+    speed_of,
     understand,
     units_offered,
 )
@@ -215,6 +216,10 @@ def _about_columns(headings: Sequence[str], columns: Mapping[str, Column]) -> li
         if like and quantity not in columns:
             choice = shlex.quote(f"{quantity}={like[0]}")
             notes.append(f"no {quantity}; it may be {' or '.join(like)}: --column {choice}")
+    if not {"speed", "angle"} & set(columns) and (formulas := speed_of(spare)):
+        notes.append(
+            f"no speed; it may be computed, with the constant of your machine: --column {shlex.quote(formulas[0])}"
+        )
     return notes
 
 
@@ -230,7 +235,10 @@ class _Reader:
     def recording(self, table: dict[str, Array], no_values: Iterable[float] | None) -> Recording:
         """The checked recording."""
         table = self._without_words(self._in_reach(table), no_values)
+        rows = len(table["time"])
         table = self._in_time(table)
+        if len(table["time"]) == rows:  # those that were dropped have been told
+            self.notes.extend(lost_samples(table["time"]))
         table = self._complete(table)
         if "speed" not in table and "angle" in table:
             table |= self._speed_of_angle(table["time"], table["angle"])

@@ -1,13 +1,18 @@
 """The command on a small plant: its files, what it says of what it cannot use, and that a second run finds the first."""
 
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.plain_fleet import World
+from helpers.fleet_tasks import Hungry
+from helpers.plain_fleet import World, write
 
+from motorlens_physics import queue
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_runtime.cli import main
+from motorlens_workbench.fleet import work
 
 pytestmark = pytest.mark.fit
 
@@ -20,6 +25,7 @@ def plant(tmp_path_factory):
     flat = "".join(f"{k / 100},3,0,0\n" for k in range(200))
     (folder / "plant/motor_002").mkdir()
     (folder / "plant/motor_002/still.csv").write_text("time_s,voltage_V,current_A,speed_rad_s\n" + flat)
+    (folder / "plant/motor_003").mkdir()
     return folder
 
 
@@ -51,15 +57,20 @@ def test_files_failures_and_a_second_run(plant, capsys):
     said = capsys.readouterr().out
     assert "motor_001/2026-07-01.csv: " in said
     assert "motor_002/still.csv: nothing can be told" in said
+    assert [line for line in said.splitlines() if line.startswith("motor_003/")] == [
+        "motor_003/: holds no recording (.csv, .tsv, .txt, .parquet, .mat, .mf4, .mdf, also as .gz)"
+    ]
     document = json.loads((plant / "out.json").read_text())
     assert document["schema"] == "motorlens.fleet/1"
     assert [m["motor"] for m in document["motors"]] == ["motor_000", "motor_001"]
     assert [r["recording"] for r in document["recordings"] if "failed" in r] == [
         "motor_001/2026-07-01.csv",
         "motor_002/still.csv",
+        "motor_003/",
     ]
     page = first[next(name for name in first if name.name == "index.html")].decode()
-    assert "motor_002/still.csv" in page
+    assert page.count("motor_002/still.csv") == page.count("motor_003/<") == 1
+    assert "2 recordings could not be used, 1 folder held none: listed below." in page
     assert "</html>" in page
     # The make's file is a motor file. By how much motors differ, two of them hardly tell.
     make = read_motor_file(plant / "out/population.toml")
@@ -72,6 +83,33 @@ def test_files_failures_and_a_second_run(plant, capsys):
     assert len(results) == 6 + 4
     assert run(plant, "out") == first
     assert results == {name: (plant / "out" / name).stat().st_mtime_ns for name in results}
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_recording_that_takes_more_memory_than_a_worker_may_is_one_line_and_the_rest_goes_on(
+    tmp_path, monkeypatch, capsys
+):
+    """Dask ends the worker, truly. The recordings behind it are not blamed, and their results those of a run in peace."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(queue, "DEATHS", 0)
+    monkeypatch.setattr(work, "Job", Hungry)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
+    World(2, 1, poor=0, samples=300, dwell=50).write(tmp_path / "plant", 4)
+    words = ["fleet", str(tmp_path / "plant"), "--motor", "mellah2016", "--as-it-is", "-o"]
+    assert main([*words, str(tmp_path / "peace"), "--workers", "0"]) == 0
+    (tmp_path / "plant/a_first").mkdir()
+    write(World(3, 1, samples=300, dwell=50).recorded(2, 0, 4), tmp_path / "plant/a_first/huge.csv")
+    capsys.readouterr()
+    assert main([*words, str(tmp_path / "war"), "--workers", "1", "--memory", "1GB"]) == 0
+    why = "a_first/huge.csv: ended 1 worker: out of memory? (--memory)"
+    assert [line for line in capsys.readouterr().out.splitlines() if "huge" in line] == [why]
+    page = (tmp_path / "war/index.html").read_text()
+    assert page.count("a_first/huge.csv") == 1 and "1 recording could not be used: listed below." in page
+    peace, war = (
+        {p.name: p.read_bytes() for p in (tmp_path / out / "results").rglob("*.json")}
+        for out in ("peace", "war")
+    )
+    assert len(peace) == 4 and peace == war
 
 
 def test_what_brief_recordings_are_worth_is_in_the_file_of_the_make(plant, capsys):
@@ -104,3 +142,7 @@ def test_bad_usage_is_one_line(plant, capsys):
     assert "no such motor; there are motor_000" in capsys.readouterr().err
     assert main(["fleet", str(plant / "nowhere"), *words]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
+    (plant / "gone.csv").write_text("motor,recording\nm1,gone/a.csv\n")
+    assert main(["fleet", str(plant / "gone.csv"), *words]) == 1
+    (told,) = capsys.readouterr().err.splitlines()[-1:]
+    assert "none of 1 recordings can be used; gone/a.csv: cannot be read: No such file" in told

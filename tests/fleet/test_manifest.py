@@ -28,6 +28,21 @@ def test_a_folder_of_motors(tmp_path):
     ]
 
 
+def test_a_motor_without_a_recording_is_named_and_where_results_go_is_no_motor(tmp_path):
+    for name in ("m1/2026-03-01.csv", "m2/notes.md", "out/fleet/results/ab/abc.json", ".git/config"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True)
+        path.touch()
+    (tmp_path / "m3").mkdir()
+    found = entries(tmp_path, tmp_path / "out/fleet")
+    assert [(e.motor, e.name, bool(e.lacks)) for e in found] == [
+        ("m1", "m1/2026-03-01.csv", False),
+        ("m2", "m2/", True),
+        ("m3", "m3/", True),
+    ]
+    assert found[1].lacks.startswith("holds no recording (.csv")
+
+
 def test_manifests_as_csv_and_toml(tmp_path):
     (tmp_path / "fleet.csv").write_text("motor,recording,date\nm2,b.csv,2026-01-02\nm1,sub/a.csv,\n")
     (tmp_path / "fleet.toml").write_text(

@@ -3,8 +3,10 @@
 import os
 import signal
 import time
+from dataclasses import dataclass
 
 from motorlens_runtime.errors import DataError
+from motorlens_workbench.fleet.work import Job
 
 
 def task(what):
@@ -23,3 +25,17 @@ def sleeps(seconds):
     """As long as a real task takes, without its work."""
     time.sleep(seconds)
     return seconds
+
+
+@dataclass(frozen=True)
+class Hungry(Job):
+    """A recording of which huge.csv takes ever more memory, until its worker is ended."""
+
+    def result(self):
+        if self.path.name == "huge.csv":
+            taken = []
+            while True:
+                # Written to, so that it is truly taken.
+                taken.append(b"\1" * 20_000_000)
+                time.sleep(0.01)
+        return super().result()

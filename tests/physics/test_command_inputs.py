@@ -4,6 +4,7 @@ import argparse
 
 import pytest
 
+from motorlens_physics import command_inputs
 from motorlens_physics.command_inputs import add_input_arguments, input_words, inputs_from
 from motorlens_physics.motor_file import read_motor_file, to_toml, voltage_commanded, write_motor_file
 from motorlens_runtime.errors import DataError
@@ -23,7 +24,7 @@ def test_the_words_repeat_the_command():
     assert input_words(parsed(*input_words(arguments))) == words
 
 
-def test_recordings_are_read_as_the_flags_say(tmp_path):
+def test_recordings_are_read_as_the_flags_say(tmp_path, monkeypatch):
     rows = "".join(f"{0.001 * k:.3f},{k % 50},12,{-7 if k % 9 == 4 else k}\n" for k in range(100))
     (tmp_path / "r.csv").write_text("t_s,duty_pct,vbat_V,i_A\n" + rows)
     given = inputs_from(
@@ -32,6 +33,11 @@ def test_recordings_are_read_as_the_flags_say(tmp_path):
     (recording,) = given.recordings([str(tmp_path / "r.csv")])
     assert recording.channels["voltage"][10] == pytest.approx(1.2)
     assert any("11 missing values of current" in note for note in recording.notes)
+    # A large file is announced before it is read.
+    said = []
+    monkeypatch.setattr(command_inputs, "LARGE_BYTES", 1000)
+    given.recordings([str(tmp_path / "r.csv")], said.append)
+    assert said == [f"reading {tmp_path / 'r.csv'}"]
     with pytest.raises(DataError, match="write a number"):
         inputs_from(parsed("--motor", "mellah2016", "--no-value=nothing"))
 

@@ -34,6 +34,7 @@ def test_a_cluster_of_two_workers_one_of_which_is_killed(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_scheduler_that_is_not_there():
+def test_a_scheduler_that_is_not_there(monkeypatch):
+    monkeypatch.setattr(queue, "ANSWERS_S", 0.3)
     with pytest.raises(DeviceError, match="no Dask scheduler answers"), cluster("tcp://127.0.0.1:9"):
         pass

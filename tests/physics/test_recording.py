@@ -115,6 +115,23 @@ def test_rare_defects_are_repaired_and_reported(tmp_path: Path) -> None:
     assert len(recording.notes) == 3
 
 
+def test_lost_samples_are_counted_where_the_clock_is_steady(tmp_path: Path) -> None:
+    """Of 400 rows of a clock some are taken out: so many are said. Stamps of no clock at all say nothing."""
+    rng = np.random.default_rng(2)
+    kept = np.sort(rng.choice(np.arange(1, 399), 350, replace=False))
+    kept = np.array([0, *kept, 399])
+    late = rng.uniform(-0.03, 0.03, len(kept))
+    for time, lost in (
+        (kept + late, 48),
+        (np.arange(352) + late, 0),
+        (np.cumsum(rng.uniform(0.5, 4.0, 352)), 0),
+    ):
+        rows = "".join(f"{0.01 * t:.6f},{k % 7}.5,{k % 5}.25\n" for k, t in enumerate(time))
+        (tmp_path / "r.csv").write_text("time_s,voltage_V,current_A\n" + rows)
+        said = [note for note in read_recording(tmp_path / "r.csv").notes if "steady clock" in note]
+        assert [note.split()[0] for note in said] == ([str(lost)] if lost else [])
+
+
 def test_gaps_dead_and_clipped_channels_are_reported(tmp_path: Path) -> None:
     time = np.r_[0:100:0.1, 200:300:0.1]
     current = np.clip(5 * np.sin(time), -4, 4)

@@ -22,11 +22,13 @@ def test_milliseconds_stamped_as_seconds_are_suspected_of_a_real_motor(tmp_path)
 SAME, SAID, NO = "same", "said", "refused"
 BAD = {
     "adc": (NO, "--column voltage_V=voltage"), "binary": (NO, "not a text file"), "blank": (SAME, ""),
-    "comment": (SAME, ""), "const": (SAID, "current never changes"), "counts": (SAME, "not used: encoder_counts"),
+    "comment": (SAME, ""), "const": (SAID, "current never changes"),
+    "counts": (SAME, "'angle=encoder_counts/1024[counts/rev]'"),
     "counts_angle": (SAID, "from the angle"), "crlf": (SAME, ""), "dup_time": (SAME, "steady clock"),
     "duty_pct": (NO, "voltage=duty_pct*vbat_V/100"), "duty_signed": (NO, "voltage=pwm/255*battery_V"),
     "empty": (NO, "empty"), "german": (SAME, ""), "jitter": (SAME, "steady clock"),
-    "missing_cells": (SAME, "missing values of speed left out"), "missing_rows": (SAID, ""),
+    "missing_cells": (SAME, "missing values of speed left out"),
+    "missing_rows": (SAID, "49 samples of a steady clock are not there, the first after 0.002 s"),
     "missing_voltage": (SAID, "rows without a value of voltage left out"), "ms": (SAME, ""),
     "ms_wrong": (NO, "--column time_ms=time"), "nan_words": (SAME, "missing values"),
     "noheader": (NO, "no heading line"), "rest": (SAID, "speed never changes"),

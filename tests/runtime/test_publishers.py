@@ -195,6 +195,13 @@ def test_health_says_stale_when_rows_stop():
     now[0] += 0.2
     assert publisher.health() == (False, publisher.health()[1])
     assert publisher.health()[1]["status"] == "stale"
+    # Rows that are ten seconds apart have not stopped after five.
+    for _ in range(2):
+        publisher.publish(estimates())
+        now[0] += 10.0
+    assert publisher.health()[0]
+    now[0] += 10.2
+    assert publisher.health()[1]["status"] == "stale"
     publisher.close()
 
 

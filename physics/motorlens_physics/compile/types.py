@@ -28,8 +28,8 @@ class Given(NamedTuple):
     """What acts on a motor, over N samples.
 
     `acting` is (N, 10): voltage, load torque, ambient and their slopes to the next sample, then the current and the speed
-    that are imposed and their slopes. `imposed` holds the bits from `IMPOSES_CURRENT` on, (N,), or (0,) where the terminals
-    are driven and the shaft is free throughout. `p` are the parameters, see `System.keys`.
+    that are imposed and their slopes. `imposed` holds the bits from `IMPOSES_CURRENT` on, (N,). Where the terminals are
+    driven and the shaft is free throughout, they are (N, 6) and (0,). `p` are the parameters, see `System.keys`.
     """
 
     time: Vector

@@ -41,11 +41,17 @@ def read_table(path: Path) -> Table:
     """Open a file by its suffix (`.gz` aside); what no format claims is read as text.
 
     Raises:
-        DataError: it is not of its format, or a library is missing, which is named.
+        DataError: it is not of its format, a folder, a motor file, or a library is missing, which is named.
         OSError: it cannot be read.
     """
     package = importlib.import_module(__name__)
     suffix = Path(path.name.lower().removesuffix(".gz")).suffix
+    if path.is_dir():
+        raise DataError(
+            f"{path}: a folder; name the recordings in it, as {path}/*.csv, or give it to motorlens fleet"
+        )
+    if suffix == ".toml":
+        raise DataError(f"{path}: no recording; a motor file is given as --motor {path}")
     formats: dict[str, ModuleType] = {}
     for module in pkgutil.iter_modules(package.__path__):
         reader = importlib.import_module(f"{__name__}.{module.name}")

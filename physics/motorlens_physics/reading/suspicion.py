@@ -23,6 +23,8 @@ _ROUNDED, _VALUES = 1e-5, 16
 _ROWS = 50_000
 # A motor stands still without a current below this share of the largest speed and current.
 _STILL = 0.02
+# Steps within this share of a whole number of periods are those of a steady clock; of more periods than that, a gap.
+_WHOLE, _GAP = 0.1, 10
 # Time constants with which the speed of a motor follows its voltage, s: a coreless one of a few grams takes 1 ms or more,
 # one of kilowatts with its load a second or two. Milliseconds for seconds are a factor of a thousand.
 _FASTEST_S, _SLOWEST_S = 3e-4, 10.0
@@ -87,11 +89,24 @@ def computed_from(y: Array, voltage: Array) -> float | None:
     return float(f"{factor:.6g}") if np.abs(rest).max() <= _ROUNDED * np.abs(y).max() else None
 
 
+def lost_samples(time: Array) -> list[str]:
+    """Samples that lie between the rows of a steady clock, in words; longer gaps are told by `gaps_and_channels`."""
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    whole = np.round(steps / period)
+    lost = int(np.sum(whole - 1))
+    if not lost or steps.max() > _GAP * period or np.any(np.abs(steps / period - whole) > _WHOLE * whole):
+        return []
+    return [
+        f"{lost} samples of a steady clock are not there, the first after {time[np.argmax(whole > 1)]:.6g} s"
+    ]
+
+
 def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
     """Gaps, dead and clipped channels, reversed signs, in words: they look wrong, but may be meant."""
     notes = []
     steps = np.diff(time)
-    gaps = np.flatnonzero(steps > 10 * np.median(steps))
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
     if len(gaps):
         notes.append(
             f"{len(gaps)} gaps in time, the longest {steps.max():.3g} s after {time[np.argmax(steps)]:.6g} s"

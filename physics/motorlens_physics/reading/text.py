@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from motorlens_physics.large_arrays import give_back
+from motorlens_physics.large_arrays import give_back, sweep
 from motorlens_physics.reading import Array, Table
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.arrow_memory import arrow_buffer, blocks_of_lines
@@ -160,6 +160,7 @@ def _by_arrow(
     # A part is given back as soon as it stands in its column, and by Arrow, which would keep it for other tables.
     columns = {k: np.concatenate(parts.pop(k) or [np.empty(0)]) for k in used}
     pa.default_memory_pool().release_unused()
+    sweep()
     return columns
 
 

@@ -242,6 +242,18 @@ def _chosen(index: int, heading: str, quantity: str, unit: str | None, where: st
     return _column(index, heading, quantity, unit, where)
 
 
+def speed_of(headings: Sequence[str]) -> list[str]:
+    """What a speed may be computed from where none is named: counts of an encoder, or a path: formulas for `--column`."""
+    found = []
+    for heading in headings:
+        unit = unit_in(heading)
+        of = "" if unit is None else name_of(unit.dimension)
+        if of in ("counts", "m/s"):
+            formula = _TIES["speed", of][0].format(heading)
+            found.append(formula if "=" in formula else f"speed={formula}")
+    return found
+
+
 def _tie(quantity: str, heading: str, unit: Unit) -> str:
     formula, meaning = _TIES.get(
         (quantity, name_of(unit.dimension)), ("{}*NUMBER[UNIT]", "tie them by a constant with its unit")

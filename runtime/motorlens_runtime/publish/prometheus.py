@@ -31,7 +31,10 @@ _TEXT = "text/plain; version=0.0.4; charset=utf-8"
 
 
 def open_url(url: SplitResult, header: Header) -> "PrometheusPublisher":
-    """See `publish`. Option `stale` is after how many seconds without a row `/health` says so, default 5."""
+    """See `publish`. Option `stale` is after how many seconds without a row `/health` says so, default 5.
+
+    Where rows come further apart (a slow `--rate`, a recording that is replayed), it is twice the time between the last two.
+    """
     options = options_of(url, stale=5.0)
     return PrometheusPublisher(address_of(url, DEFAULT_PORT), header, options["stale"])
 
@@ -56,7 +59,7 @@ class PrometheusPublisher:
         self._stale_s = stale_s
         self._clock = clock
         self._latest: tuple[float, float, list[float], list[float], int] | None = None
-        self._rows = 0
+        self._rows, self._every_s = 0, 0.0
         self._events: dict[str, bool] = {}
         self._counts: dict[str, Any] = {}
         try:
@@ -76,8 +79,10 @@ class PrometheusPublisher:
         if not len(estimates):
             return
         self._rows += len(estimates)
+        now = self._clock()
+        self._every_s = 0.0 if self._latest is None else now - self._latest[0]
         self._latest = (
-            self._clock(),
+            now,
             int(estimates.time_ns[-1]) / 1e9,
             estimates.values[-1].tolist(),
             estimates.sigma[-1].tolist(),
@@ -147,7 +152,8 @@ class PrometheusPublisher:
         arrived, _, _, _, word = latest
         age_s = self._clock() - arrived
         code = opc_ua(word)
-        status = "stale" if age_s > self._stale_s else code.name.partition("_")[0].lower()
+        stale = age_s > max(self._stale_s, 2 * self._every_s)
+        status = "stale" if stale else code.name.partition("_")[0].lower()
         document = {"status": status, "age_s": round(age_s, 3), "rows": self._rows, "quality": word}
         good = status not in ("stale", OpcUa.BAD_SENSOR_FAILURE.name.partition("_")[0].lower())
         return good, {**document, "reasons": names(word), "alarms": alarms}

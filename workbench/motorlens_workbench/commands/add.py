@@ -60,12 +60,13 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.output} is the motor file itself, which is kept; give another name with -o"
         )
     given = inputs_from(arguments)
-    file, fitted, judge = given.file, given.recordings(arguments.fit), given.recordings(arguments.judge)
+    say = teller("add")
+    file = given.file
+    fitted, judge = given.recordings(arguments.fit, say), given.recordings(arguments.judge, say)
     plain = file
     if arguments.driven:
         file, fitted = driven(file, fitted)
         judge = driven(plain, judge)[1] if judge else judge
-    say = teller("add")
     if arguments.remove:
         found = ladders.remove(file, arguments.effect, fitted, judge, say, arguments.differing)
     else:

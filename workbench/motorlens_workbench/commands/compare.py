@@ -31,8 +31,9 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_workbench.report.page import write
 
     given = inputs_from(arguments)
-    recordings = given.recordings(arguments.recordings)
-    say = teller("compare") if any(map(is_long, recordings)) else lambda text: None
+    tell = teller("compare")
+    recordings = given.recordings(arguments.recordings, tell)
+    say = tell if any(map(is_long, recordings)) else lambda text: None
     with patience("compare"):
         found = compare(given.file, recordings, say)
     write_json(to_json(found, arguments.recordings, arguments.motor), arguments.json)

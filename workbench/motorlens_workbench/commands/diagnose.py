@@ -39,10 +39,10 @@ def run(arguments: argparse.Namespace) -> int:
     from motorlens_workbench.verdict import settle
 
     given = inputs_from(arguments)
-    file, recordings = given.file, given.recordings(arguments.recordings)
+    say = teller("diagnose")
+    file, recordings = given.file, given.recordings(arguments.recordings, say)
     if arguments.driven:
         file, recordings = driven(file, recordings)
-    say = teller("diagnose")
     found = diagnose(file, recordings, given.effects, say)
     verdict = settle(found)
     if any(len(group) > 1 for group in verdict.groups):

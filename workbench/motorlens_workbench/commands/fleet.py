@@ -92,13 +92,13 @@ def run(arguments: argparse.Namespace) -> int:
     file = read_motor_file(arguments.motor)
     if arguments.voltage_commanded:
         file = voltage_commanded(file)
-    found = entries(Path(arguments.folder))
+    out = Path(arguments.output)
+    found = entries(Path(arguments.folder), out)
     motors = {entry.motor for entry in found}
     if arguments.history is not None and arguments.history not in motors:
         raise DataError(
             f"--history {arguments.history}: no such motor; there are {', '.join(sorted(motors))}"
         )
-    out = Path(arguments.output)
     store = Store(out / "results")
     store.clear_halves()
     job = Job(Path(), file, tuple(arguments.column), no_values(arguments.no_value), arguments.compare)

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 # Spreads are looked for between these, in units of a parameter.
 LEAST, MOST = 1e-4, 3.0
+# Where the search begins.
+BEGIN = 0.03
 # Twice the logarithm of the likelihood by which a spread must be better than none: the half-half mixture of 0 and
 # chi-squared exceeds it in 1 % (Self and Liang 1987, doi:10.1080/01621459.1987.10478472).
 HELPS = 5.41
@@ -199,23 +201,26 @@ def misfit(data: Data, omega: Array, psi: Array, bounds: Array | None = None) ->
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Spreads by restricted maximum likelihood; 0 where one does not help.
+    """Spreads by restricted maximum likelihood.
 
     Attributes:
-        omega, psi: (k,) between motors, and between recordings of one motor.
-        sd: (2, k) standard deviations of both.
-        likely: (2, k) root mean square, of those that do not help too, see `_reckoned`: what is to be reckoned with. One
-            that does not help is within what was known of its parameter beforehand.
+        omega: (k,) between motors; 0 where it is not told.
+        psi: (k,) between recordings of one motor; 0 where it does not help.
+        told: (2, k) whether each is told: nothing else that may differ does for it, see `_told`.
+        sd: (2, k) standard deviations of those that are told; NaN of the others.
+        likely: (2, k) root mean square, of those that are not told too, see `_reckoned`: what is to be reckoned with. One
+            that is not told is within what was known of its parameter beforehand.
     """
 
     omega: Array
     psi: Array
+    told: NDArray[np.bool_]
     sd: Array
     likely: Array
 
 
 def spreads(data: Data) -> Spreads:
-    """Estimate the spreads, and leave out those that do not help, the least helpful first."""
+    """Estimate the spreads; leave out those that do not help, the least helpful first; say which of the others are told."""
     on = np.ones((2, len(data.known)), dtype=bool)
     if np.count_nonzero(data.belongs) < 2:
         on[0] = False
@@ -223,7 +228,7 @@ def spreads(data: Data) -> Spreads:
         on[1] = False
     allowed = on.copy()
     model = partial(solve, data)
-    at = _likeliest(model, on, np.where(on, 0.03, 0.0))
+    at = _likeliest(model, on, np.where(on, BEGIN, 0.0))
     while on.any():
         gains = _gains(data, on, at)
         useless = on & (gains < HELPS)
@@ -235,11 +240,19 @@ def spreads(data: Data) -> Spreads:
         weakest = useless & ((gains < 0.1) | (gains == gains[useless].min()))
         on, at[weakest] = on & ~weakest, 0.0
         at = _likeliest(model, on, at)
+    told = _told(model, allowed, on, at)
     sd = _deviations(data, on, at)
     likely = np.where(
-        on, np.hypot(at, np.nan_to_num(sd)), _reckoned(model, allowed & ~on, at, np.minimum(data.known, 1.0))
+        told,
+        np.hypot(at, np.nan_to_num(sd)),
+        _reckoned(model, allowed & ~told, at, possible(data.known)),
     )
-    return Spreads(at[0], at[1], sd, likely)
+    return Spreads(np.where(told[0], at[0], 0.0), at[1], told, np.where(told, sd, np.nan), likely)
+
+
+def possible(known: Array) -> Array:
+    """(k,) by how much motors may differ where that is not told: by all that was known, at most by a parameter's size."""
+    return np.minimum(known, 1.0)
 
 
 def led_away(data: Data, motor: Array, sd: Array) -> Array:
@@ -277,6 +290,28 @@ def _gains(data: Data, on: NDArray[np.bool_], at: Array) -> Array:
             best = max(best, solve(data, *without).evidence)
         gains[row, k] = 2 * (whole - best)
     return gains
+
+
+def _told(model: Model, allowed: NDArray[np.bool_], on: NDArray[np.bool_], at: Array) -> NDArray[np.bool_]:
+    """(2, k) which spreads are told: with every other one that is allowed at its likeliest, they are better than none.
+
+    That is what the distribution of `HELPS` is of. Of two parameters that recordings tell together each spread would seem to
+    be needed with the other held where it is, and either does alone; which of them was left out first says nothing.
+    """
+    told = on.copy()
+    for row, k in np.argwhere(on):
+        # Where the two spreads of one parameter are told as one, it is that between motors.
+        free = allowed.copy()
+        free[1 - row, k] = on[1 - row, k]
+        begin = np.where(free & ~on, BEGIN, at)
+        whole = _likeliest(model, free, begin)
+        free[row, k] = False
+        without = np.where(free, whole, 0.0)
+        without[1 - row, k] = np.hypot(*whole[:, k]) * free[1 - row, k]
+        begin[row, k] = 0.0
+        least = max(model(*_likeliest(model, free, start)).evidence for start in (without, begin))
+        told[row, k] = 2 * (model(*whole).evidence - least) >= HELPS
+    return told
 
 
 def _likeliest(model: Model, on: NDArray[np.bool_], at: Array) -> Array:

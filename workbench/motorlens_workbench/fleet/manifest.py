@@ -1,14 +1,15 @@
 """Which recordings there are, of which motor, and when they were made.
 
 From a folder: each folder in it is a motor, named like it; a file that lies in the folder itself is a motor of its own. A
-date is read from the name of the file, as 2026-03-01 or 2026-03-01_1430. From a manifest: a CSV with the columns motor,
-recording and, if known, date, or a TOML with [[recording]] tables of the same names; paths are relative to the manifest.
+date is read from the name of the file, as 2026-03-01 or 2026-03-01_1430. A folder that holds no recording is named too: its
+motor is lacking. From a manifest: a CSV with the columns motor, recording and, if known, date, or a TOML with [[recording]]
+tables of the same names; paths are relative to the manifest.
 """
 
 import csv
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +20,7 @@ from motorlens_runtime.errors import DataError
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".mat", ".mf4", ".mdf")
 _DATE = re.compile(r"(\d{4}-\d{2}-\d{2})(?:[T_ ]?(\d{2})[:h-]?(\d{2})(?:[:-]?(\d{2}))?)?")
 _FIELDS = ("motor", "recording", "date")
+_NO_RECORDING = f"holds no recording ({', '.join(SUFFIXES)}, also as .gz)"
 
 
 @dataclass(frozen=True)
@@ -30,16 +32,22 @@ class Entry:
         path: where it lies.
         name: how it is called in what is written: its path, from the folder or the manifest on.
         date: when it was made; None if that is not known.
+        lacks: why there is none, of a motor without any; its path is then where one was looked for.
     """
 
     motor: str
     path: Path
     name: str
     date: datetime | None = None
+    lacks: str = ""
 
 
-def entries(where: Path) -> tuple[Entry, ...]:
+def entries(where: Path, output: Path | None = None) -> tuple[Entry, ...]:
     """The recordings of a folder or of a manifest, by motor, date and name.
+
+    Args:
+        where: the folder or the manifest.
+        output: a folder that may lie in it and is no motor's.
 
     Raises:
         DataError: nothing there, or a manifest that is not one.
@@ -48,7 +56,8 @@ def entries(where: Path) -> tuple[Entry, ...]:
     if where.is_dir():
         found = list(_of_folder(where))
         if not found:
-            raise DataError(f"{where}: holds no recording ({', '.join(SUFFIXES)}, also as .gz)")
+            raise DataError(f"{where}: {_NO_RECORDING}")
+        found += _without(where, {entry.motor for entry in found}, output)
     elif where.suffix.lower() == ".toml":
         found = _of_toml(where)
     else:
@@ -81,6 +90,14 @@ def _of_folder(folder: Path) -> Iterable[Entry]:
             continue
         motor = inside.parts[0] if len(inside.parts) > 1 else Path(plain).stem
         yield Entry(motor, path, inside.as_posix(), date_in(path.name))
+
+
+def _without(folder: Path, motors: Collection[str], output: Path | None) -> Iterable[Entry]:
+    """The folders of motors of which nothing was recorded."""
+    for path in sorted(folder.iterdir()):
+        mine = path.is_dir() and not path.name.startswith(".") and path.name not in motors
+        if mine and (output is None or path.resolve() not in (output.resolve(), *output.resolve().parents)):
+            yield Entry(path.name, path, f"{path.name}/", lacks=_NO_RECORDING)
 
 
 def _of_csv(path: Path) -> list[Entry]:

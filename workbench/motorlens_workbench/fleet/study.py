@@ -123,7 +123,11 @@ def results(
     """
     keys: list[str] = []
     failures: dict[int, str] = {}
-    for number, (_, job) in enumerate(jobs):
+    for number, (entry, job) in enumerate(jobs):
+        if entry.lacks:
+            keys.append("")
+            failures[number] = entry.lacks
+            continue
         try:
             keys.append(job.key())
         except OSError as error:
@@ -133,7 +137,9 @@ def results(
     todo = {key: job for key, (_, job) in zip(keys, jobs, strict=True) if key and key not in there}
     said: dict[str, str] = {}
     names = sorted(todo, key=lambda key: -size(todo[key]).bit_length())
-    progress(len(there), len(there) + len(todo))
+    whole = len(there) + len(todo)
+    if whole:
+        progress(len(there), whole)
     for done in work([todo[key] for key in names]) if todo else ():
         key = names[done.number]
         if done.value is None:
@@ -141,7 +147,7 @@ def results(
         else:
             store.write(key, done.value)
             there[key] = done.value
-        progress(len(there) + len(said), len(keys))
+        progress(len(there) + len(said), whole)
     out = []
     for number, ((entry, _), key) in enumerate(zip(jobs, keys, strict=True)):
         # Read back, so that a fresh result and a kept one are the same to the last digit.
@@ -186,9 +192,10 @@ def study(
         )
         return outcomes, population(file, observations(outcomes))
 
-    motors = sorted({entry.motor for entry in entries})
+    recorded = [entry for entry in entries if not entry.lacks]
+    motors = sorted({entry.motor for entry in recorded})
     some = {motors[int(k)] for k in np.linspace(0, len(motors) - 1, min(ASKED, len(motors)))}
-    asked = [entry for entry in entries if entry.motor in some]
+    asked = [entry for entry in recorded if entry.motor in some]
     for _ in range(ADDED if grow else 0):
         _, found = fitted(asked, f"what {len(some)} motors have in common")
         # A name may have stood for another one that was not there yet, and is at its null beside it.
@@ -199,7 +206,7 @@ def study(
             break
         else:
             added.append(found.lacks)
-    outcomes, found = fitted(entries, f"fitting {len(entries)} recordings of {len(motors)} motors")
+    outcomes, found = fitted(entries, f"fitting {len(recorded)} recordings of {len(motors)} motors")
     for _ in range(AGAIN):
         say("looking at them again, where their motors are likeliest")
         before, found = found, where_likeliest(found, outcomes, template, store, work, progress)

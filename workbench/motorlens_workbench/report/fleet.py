@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import norm
 
 from motorlens_workbench.fleet.history import Series
+from motorlens_workbench.fleet.levels import possible
 from motorlens_workbench.fleet.odd import Difference, MakeEffect
 from motorlens_workbench.fleet.study import Fleet
 from motorlens_workbench.report.page import Page, Section, significant, unit_text
@@ -82,7 +83,7 @@ def to_json(fleet: Fleet, motor: str) -> dict[str, Any]:
                 "between_motors": float(found.spreads.omega[k]) * _unit_of_spread(fleet, k),
                 "between_motors_sd": _number(found.spreads.sd[0, k] * _unit_of_spread(fleet, k)),
                 "between_motors_likely": float(found.between[k]) * _unit_of_spread(fleet, k),
-                "between_recordings": float(found.spreads.psi[k]) * _unit_of_spread(fleet, k),
+                "between_recordings": float(found.spreads.psi[k] * found.spreads.told[1, k]) * _unit_of_spread(fleet, k),
             }
             for k, key in enumerate(found.keys)
         },
@@ -130,7 +131,11 @@ def to_html(fleet: Fleet, motor: str, command: str) -> Page:
         "motors and parameters counted; odd motors take no part in the population."
     )
     if fleet.failed:
-        summary.append(f"{_count(len(fleet.failed), 'recording')} could not be used; they are listed below.")
+        empty = sum(bool(outcome.entry.lacks) for outcome in fleet.failed)
+        spoilt = len(fleet.failed) - empty
+        lost = [f"{_count(spoilt, 'recording')} could not be used"] if spoilt else []
+        lost += [f"{_count(empty, 'folder')} held none"] if empty else []
+        summary.append(f"{', '.join(lost)}: listed below.")
     sections = [Section("Odd motors", _odd_content(fleet)), Section("The make", _make_content(fleet))]
     if fleet.diagnoses:
         table = Table(
@@ -251,8 +256,9 @@ def _make_content(fleet: Fleet) -> list[str | Table | Bars | Any | Plot]:
     found = fleet.population
     head = ["parameter", "make", "+-", "between motors", "between recordings of one", "unit"]
     caption = (
-        "Spreads are standard deviations, relative where a parameter is positive. Where none helps, twice its "
-        "root mean square under the likelihood stands instead; not told: the recordings leave the parameter as it was."
+        "Spreads are standard deviations, relative where a parameter is positive. Where nothing or another spread explains "
+        "the recordings as well, twice the root mean square under the likelihood stands instead; not told: that is no less "
+        "than what was possible beforehand."
     )
     content: list[str | Table | Bars | Any | Plot] = [Table(head, _population_rows(fleet), caption)]
     values, _ = found.of_motors()
@@ -340,26 +346,29 @@ def _population_rows(fleet: Fleet) -> list[list[Any]]:
     mean, sd = found.mean()
     rows = []
     for k, key in enumerate(found.keys):
-        told = np.sqrt(found.solved.covariance[k, k]) < 0.9 * found.known[k]
         rows.append([
-            key, float(mean[k]), float(f"{sd[k]:.3g}"), _spread(fleet, 0, k) if told else "not told",
-            _spread(fleet, 1, k) if told else "not told", unit_text(found.file.meaning(key).unit),
+            key, float(mean[k]), float(f"{sd[k]:.3g}"), _spread(fleet, 0, k), _spread(fleet, 1, k),
+            unit_text(found.file.meaning(key).unit),
         ])  # fmt: skip
     return rows
 
 
 def _spread(fleet: Fleet, row: int, k: int) -> str:
     found = fleet.population
-    size = (found.spreads.omega, found.spreads.psi)[row][k]
+    told, size = found.spreads.told[row, k], (found.spreads.omega, found.spreads.psi)[row][k]
     likely = float((found.between, found.spreads.likely[1])[row][k])
-    if likely == 0:
-        return "not told"  # one motor, or one recording of each
+    # Nothing is reckoned with of one motor, or of one recording of each.
+    if not told and (likely == 0 or 2 * likely >= possible(found.known)[k]):
+        return "not told"
     unit = _unit_of_spread(fleet, k)
 
     def shown(value: float) -> str:
-        return f"{100 * value * unit:.2g} %" if found.scale.relative[k] else f"{value * unit:.2g}"
+        if not found.scale.relative[k]:
+            return f"{value * unit:.2g}"
+        percent = 100 * value * unit
+        return f"{percent:.2g} %" if percent < 99.5 else f"{percent:.0f} %"
 
-    return shown(float(size)) if size > 0 else f"below {shown(2 * likely)}"
+    return shown(float(size)) if told else f"below {shown(2 * likely)}"
 
 
 def _unit_of_spread(fleet: Fleet, k: int) -> float:
