@@ -175,7 +175,7 @@ def minimise(
                 break
         if not moved:
             break
-        damping = damping if fresh else max(damping / 10, 1e-9)
+        damping = max(damping / 10, 1e-9)
         progress(f"step {k + 1}: {left:.3g} standard deviations to go")
     return point, gram, left
 
