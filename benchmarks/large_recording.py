@@ -26,6 +26,8 @@ from helpers.browser import chromium, needs_browser, opened  # noqa: E402
 from helpers.processes import MOTORLENS, Program  # noqa: E402
 
 MOST_S, MOST_MB, SOON_S = 10.0, 600.0, 1.0
+# A verdict that has not come after so long does not come.
+PATIENCE_S = 300.0
 
 
 def main() -> int:
@@ -84,6 +86,7 @@ def _page(place: Path) -> tuple[float, float, int, float]:
                 running, said = time.monotonic() - begun, set()
                 verdict = page.locator("#compare-result").locator(".verdict, .failed")
                 while not verdict.count():
+                    assert time.monotonic() - begun < PATIENCE_S, f"no verdict on the page; it said {said}"
                     said |= set(page.locator("#running").all_inner_texts())
                     time.sleep(0.05)
                 ended = time.monotonic() - begun

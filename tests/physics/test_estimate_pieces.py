@@ -76,6 +76,17 @@ def test_a_trial_is_weighed_as_the_point_it_is_compared_with() -> None:
     assert at(model, tempered, prior).cost == pytest.approx(tempered.cost, rel=1e-9)
 
 
+def test_what_a_point_makes_of_its_own_errors_is_its_slope_and_its_cost() -> None:
+    # Two ways to the same sums: of all columns and errors at once, and of those of another point, here of itself.
+    runs = two_runs()
+    model, prior = start_model(FILE, runs), base_prior(FILE, runs)
+    point = dataclasses.replace(at(model, first_point(model, runs), prior), inflation=3.0)
+    products, overlap = point.products_in(point)
+    _, slope = point.normal()
+    assert products == pytest.approx(slope, rel=1e-9, abs=1e-9 * float(np.abs(slope).max()))
+    assert overlap == pytest.approx(point.cost, rel=1e-9)
+
+
 def test_a_step_that_nothing_follows_makes_no_piece_lively() -> None:
     # From rest to rest: the change alone is in a piece that ends with it, and the answer to it in none of its samples.
     time = np.arange(4000) * 1e-3

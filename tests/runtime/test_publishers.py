@@ -202,6 +202,15 @@ def test_health_says_stale_when_rows_stop():
     assert publisher.health()[0]
     now[0] += 10.2
     assert publisher.health()[1]["status"] == "stale"
+    # An outage says nothing of how far apart rows come.
+    for apart_s in (1.0, 1.0, 1000.0):
+        publisher.publish(estimates())
+        now[0] += apart_s
+    publisher.publish(estimates())
+    now[0] += 4.9
+    assert publisher.health()[0]
+    now[0] += 0.2
+    assert publisher.health()[1]["status"] == "stale"
     publisher.close()
 
 

@@ -187,6 +187,13 @@ def _turned(
 
     With errors e(t) = e - t J v + t^2 q along the step v, what J can undo of the bend q turns the way, v t + a t^2, and the
     rest of q says how far to go (geodesic acceleration: Transtrum, Machta and Sethna 2011, doi:10.1103/PhysRevE.83.036701).
+
+    Args:
+        step: v (k,), refused.
+        point, trial: where it starts, and where it led.
+        prior: the free parameters.
+        gram, gradient: J^T J (k, k) and J^T e (k,) at the point, with the prior's.
+        damping: of the step.
     """
     keys, values = prior.keys, point.model.values()
     known = np.array([prior.sd[key] for key in keys]) ** -2.0
@@ -194,6 +201,7 @@ def _turned(
     pull = gradient - known * (_vector(prior.centre, keys) - _vector(values, keys))
     along = gram @ step - known * step
     seen, overlap = trial.products_in(point)
+    # J^T q, a, e^T (e - J v), e^T q and q^T q.
     bend = seen - pull + along
     turn = _step(values, prior, gram, bend, damping)
     linear = point.cost - pull @ step
@@ -273,7 +281,8 @@ def _step(values: Mapping[str, float], prior: Prior, gram: Array, gradient: Arra
     scale = np.sqrt(np.diagonal(damped))
     spread, vectors = _axes(damped / np.outer(scale, scale))
     root = np.sqrt(spread)
-    able, within = low < high, np.clip(np.zeros(len(low)), low, high)
+    # What cannot move at all stays.
+    able, within = low < high, np.zeros(len(low))
     within[able] = (
         lsq_linear(
             root[:, None] * vectors.T[:, able],

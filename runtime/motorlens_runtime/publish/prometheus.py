@@ -33,7 +33,8 @@ _TEXT = "text/plain; version=0.0.4; charset=utf-8"
 def open_url(url: SplitResult, header: Header) -> "PrometheusPublisher":
     """See `publish`. Option `stale` is after how many seconds without a row `/health` says so, default 5.
 
-    Where rows come further apart (a slow `--rate`, a recording that is replayed), it is twice the time between the last two.
+    Where rows come further apart (a slow `--rate`, a recording that is replayed), it is twice the time between them: the
+    shorter of the last two, for the other may be an outage.
     """
     options = options_of(url, stale=5.0)
     return PrometheusPublisher(address_of(url, DEFAULT_PORT), header, options["stale"])
@@ -59,7 +60,8 @@ class PrometheusPublisher:
         self._stale_s = stale_s
         self._clock = clock
         self._latest: tuple[float, float, list[float], list[float], int] | None = None
-        self._rows, self._every_s = 0, 0.0
+        self._rows = 0
+        self._apart_s = (0.0, 0.0)
         self._events: dict[str, bool] = {}
         self._counts: dict[str, Any] = {}
         try:
@@ -80,7 +82,7 @@ class PrometheusPublisher:
             return
         self._rows += len(estimates)
         now = self._clock()
-        self._every_s = 0.0 if self._latest is None else now - self._latest[0]
+        self._apart_s = (self._apart_s[1], 0.0 if self._latest is None else now - self._latest[0])
         self._latest = (
             now,
             int(estimates.time_ns[-1]) / 1e9,
@@ -152,7 +154,7 @@ class PrometheusPublisher:
         arrived, _, _, _, word = latest
         age_s = self._clock() - arrived
         code = opc_ua(word)
-        stale = age_s > max(self._stale_s, 2 * self._every_s)
+        stale = age_s > max(self._stale_s, 2 * min(self._apart_s))
         status = "stale" if stale else code.name.partition("_")[0].lower()
         document = {"status": status, "age_s": round(age_s, 3), "rows": self._rows, "quality": word}
         good = status not in ("stale", OpcUa.BAD_SENSOR_FAILURE.name.partition("_")[0].lower())
