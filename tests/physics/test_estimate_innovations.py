@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations, spread, sums
+from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations, read, spread, sums
 from motorlens_physics.estimate.model import sensitivities_of
 from motorlens_physics.estimate.noise import first_noise, likelier
 from motorlens_physics.estimate.run import prepare
@@ -34,7 +35,7 @@ def space(request: pytest.FixtureRequest) -> StateSpace:
     noise[4, 1] = np.inf
     found = StateSpace(
         0.4 * rng.standard_normal((SAMPLES - 1, states, states + 6)), np.array([0, 1]), np.array([0, 1, 1]),
-        np.full((2, 2), -1), np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise,
+        np.full((2, 2), -1), np.zeros(2), np.array([True, False, True]), keeps, np.array([0.5, 0.8, 0.3]), noise,
         np.array([0.2, *np.zeros(states - 1)]),
     )  # fmt: skip
     if not lasting:
@@ -191,3 +192,79 @@ def test_a_dither_that_was_truly_applied_is_no_noise() -> None:
     sensors, inputs = levels(True, 1.0, dithered=True)
     assert sensors == pytest.approx([0.015, 0.44], rel=0.06)
     assert inputs[0] < 0.1 * 0.48
+
+
+@pytest.mark.parametrize("off", [0.0, 0.2, -0.49, 0.5, 0.9, -2.5, 12.0])
+@pytest.mark.parametrize("sd", [0.03, 0.15, 0.4, 3.0])
+def test_a_reading_tells_what_the_interval_around_it_does(off: float, sd: float) -> None:
+    """Mean and variance of a state given that a noisy reading of it is one number, summed over all that it may be."""
+    step, known = 0.7, 0.1**2
+    noise = (sd * step) ** 2
+    error = off * step
+    space = StateSpace(
+        np.zeros((0, 3, 9)), np.array([0]), np.array([0, 1, 1]), np.full((1, 1), -1), np.array([step]),
+        np.zeros(3, np.bool_), np.zeros((0, 3)), np.zeros(3), np.array([[noise + step**2 / 12]]),
+        np.array([known, 0.0, 0.0]),
+    )  # fmt: skip
+    seen = read(space, np.array([[error]]))
+
+    wide = np.sqrt(known)
+    states = np.linspace(-100 * wide, 100 * wide, 400_001)
+    above, below = ((error + side * step / 2 - states) / np.sqrt(noise) for side in (1, -1))
+    logarithm = norm.logpdf(states, 0, wide) + log_between(below, above)
+    largest = float(logarithm.max())
+    total, first, second = (
+        float(np.trapezoid(states**p * np.exp(logarithm - largest), states)) for p in (0, 1, 2)
+    )
+    mean, variance = first / total, second / total - (first / total) ** 2
+    assert not seen.space.steps.any()
+    told = seen.space.noise[0, 0]
+    if not np.isfinite(told):
+        assert mean == pytest.approx(0, abs=1e-6) and variance == pytest.approx(known, rel=1e-6)
+    else:
+        assert known / (known + told) * seen.error[0, 0] == pytest.approx(mean, rel=1e-3, abs=1e-6)
+        assert known * told / (known + told) == pytest.approx(variance, rel=2e-3)
+    density = np.log(total) + largest - np.log(step)
+    assert seen.unlikely[0, 0] == pytest.approx(-2 * density - np.log(2 * np.pi), rel=1e-3, abs=2e-3)
+    spread_out = np.sqrt(known + noise)
+    most = np.log(norm.cdf(step / 2 / spread_out) - norm.cdf(-step / 2 / spread_out)) - np.log(step)
+    assert seen.deviance[0, 0] == pytest.approx(2 * (most - density), rel=1e-3, abs=2e-3)
+
+
+def log_between(below: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """Logarithm of the probability of a normal variable between two bounds, whichever tail they are in."""
+    turned = below + above > 0
+    low, high = np.where(turned, -above, below), np.where(turned, -below, above)
+    return np.asarray(norm.logcdf(high) + np.log1p(-np.exp(norm.logcdf(low) - norm.logcdf(high))))
+
+
+def test_what_has_no_converter_is_read_as_it_is(space: StateSpace) -> None:
+    error = np.random.default_rng(2).standard_normal((SAMPLES, CHANNELS))
+    seen, filtered = read(space, error), innovations(space, error[:, :, None])
+    np.testing.assert_array_equal(seen.error, error)
+    np.testing.assert_array_equal(seen.space.noise, space.noise)
+    white, there = filtered.white[:, :, 0], np.isfinite(filtered.scale)
+    assert seen.deviance == pytest.approx(white**2)
+    assert seen.unlikely[there] == pytest.approx((white**2 + 2 * np.log(filtered.scale))[there])
+    assert not seen.unlikely[~there].any()
+
+
+@pytest.mark.parametrize("sd", [0.12, 0.3])
+def test_noise_beneath_the_step_of_a_converter_is_found(sd: float) -> None:
+    """Of readings of a motor that turns slowly through the levels: the noise before the converter."""
+    rng, step = np.random.default_rng(7), 0.8
+    time = np.arange(6000) * 0.002
+    volts = 100 + 60 * np.sin(time) + 20 * np.sin(7 * time)
+    motor = Motor()
+    truth = simulate(motor, Inputs(time, volts, 0 * time, np.full(len(time), 20.0)))
+    speed = np.round((truth.speed_rad_s + sd * step * rng.standard_normal(len(time))) / step) * step
+    current = truth.current_A + 0.02 * rng.standard_normal(len(time))
+    channels = {"voltage": volts, "current": current, "speed": speed, "load_torque": 0 * time}
+    run = prepare(Recording("coarse.csv", time, channels), MotorFile("plate", motor, PLATE))
+    assert run.steps[1] == pytest.approx(step) and not run.steps[0]
+    run = replace(run, start={"i": 0.0, "w": 0.0, "theta": 0.0})
+    _, shown, _, linear = sensitivities_of(start_model(MotorFile("plate", motor, PLATE), [run]), run, 0, ())
+    error = run.measured - shown
+    noise = first_noise(run, error, PLATE.torque_Nm)
+    found, _ = likelier(noise, run, linear, error, run.there, 60)
+    assert np.sqrt(found.channels) == pytest.approx([0.02, sd * step], rel=0.06)

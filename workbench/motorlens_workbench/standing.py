@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.innovations import innovations
+from motorlens_physics.estimate.innovations import read
 from motorlens_physics.estimate.model import error_of, predict
 from motorlens_physics.estimate.noise import UNEXPLAINED, Noise, likelier
 from motorlens_physics.estimate.prior import Prior
@@ -202,10 +202,8 @@ def _likeliest(noise: Noise, line: Line, rest: Array) -> Noise:
 
 def _unlikely(line: Line, noise: Noise, rest: Array) -> Array:
     """(N,) how unlikely each sample of what is left (N, C) is under a noise: twice the negative logarithm."""
-    seen = innovations(noise.space(line.run, line.linear, line.run.there), rest[:, :, None])
-    tells = np.isfinite(seen.scale) & ~line.run.rests[:, None]
-    spread = np.where(tells, seen.scale, 1.0)
-    return np.asarray(np.sum(seen.white[:, :, 0] ** 2 + 2 * np.log(spread), axis=1))
+    seen = read(noise.space(line.run, line.linear, line.run.there), rest)
+    return np.asarray(np.sum(np.where(line.run.rests[:, None], seen.deviance, seen.unlikely), axis=1))
 
 
 def _left_by(here: Standing, fitted: Fitted) -> list[Array]:

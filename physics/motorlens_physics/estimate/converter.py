@@ -1,11 +1,10 @@
-"""What an analogue-to-digital converter does to a channel: its step, the noise beneath it, and the ripple that noise leaves.
+"""What an analogue-to-digital converter does to a channel: its step, the end of its range, and the error that lasts.
 
-A mean over many samples of a noisy converter is no longer quantised, but not yet the truth: where the noise is less than
-half a step, the mean still leans towards the nearest level. Schuchman (1964), Dither signals and their effect on
-quantization noise, doi:10.1109/TCOM.1964.1088973.
+What its readings tell of an output is in `innovations.read`; of an input, which drives the simulation, its error is noise
+that lasts while the input stays between two levels.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -21,16 +20,12 @@ FEW = 0.5
 ROUNDING = 1e-9
 # Gaps between values by which the step is told, in steps; the last holds all of them.
 WIDER = (25, 250, 2500, np.inf)
-# The largest lean: from there on the mean no longer rises with the truth.
-MOST = 0.5
 # Steps to the end of the range of the coarsest converter that is told, and how near to a whole number of steps that is.
 COARSEST_RANGE, WHOLE = 256, 0.2
 # Harmonics of a converter's error that are looked at.
 HARMONICS = 20
 # What lasts is left out where it adds less than this share to the power of the slowest.
 NEGLIGIBLE = 0.1
-# Standard deviation of a lean that is computed from the noise; samples in a piece.
-BELIEF, PIECE = 0.1, 50
 
 
 def quantisation_step(y: Array) -> float:
@@ -82,70 +77,6 @@ def saturated(y: Array) -> NDArray[np.bool_]:
     return ends
 
 
-@dataclass(frozen=True)
-class Converter:
-    """The converter of a channel.
-
-    Attributes:
-        step: least significant bit, 0 if continuous.
-        level: one of its levels.
-        expected: how much of the full lean towards the nearest level its noise should leave, from 0 (it blurs all) to 1.
-        lean: how much is taken to be left; 0 far from the best parameters, where a level is as near as another.
-    """
-
-    step: float = 0.0
-    level: float = 0.0
-    expected: float = 0.0
-    lean: float = 0.0
-
-    def bias(self, y: Array) -> Array:
-        """(N,) what the mean reading of true values (N,) is above them."""
-        if not self.lean:
-            return np.zeros_like(y)
-        return self.lean * self.shape(y)
-
-    def slope(self, y: Array) -> Array:
-        """(N,) by how much the mean reading rises with true values (N,)."""
-        if not self.lean:
-            return np.ones_like(y)
-        return np.asarray(1 - 2 * self.lean * np.cos(2 * np.pi * (y - self.level) / self.step))
-
-    def shape(self, y: Array) -> Array:
-        """(N,) the first harmonic of the reading's error, at a lean of 1."""
-        return np.asarray(-self.step / np.pi * np.sin(2 * np.pi * (y - self.level) / self.step))
-
-
-def converter_of(y: Array, tells: NDArray[np.bool_] | None = None) -> Converter:
-    """The converter of a channel (N,), with the lean to expect of the noise on it.
-
-    Args:
-        y: (N,) as recorded.
-        tells: (N,) samples that tell its noise; a motor at rest may have none. None is all.
-    """
-    step = quantisation_step(y)
-    if not step:
-        return Converter()
-    there = np.isfinite(y)
-    level = float(np.angle(np.exp(2j * np.pi * y[there] / step).mean()) / (2 * np.pi) * step)
-    noise = noise_sd(y[there if tells is None else there & tells], step)
-    return Converter(step, level, min(float(np.exp(-2 * (np.pi * noise / step) ** 2)), MOST))
-
-
-def leaning(converter: Converter, truth: Array, error: Array) -> Converter:
-    """The converter with the lean that the error (N,) beside a fitted truth (N,) tells, beside what is to be expected."""
-    shape = converter.shape(truth) if converter.step else np.zeros(len(truth))
-    power = float(shape @ shape)
-    if power <= 0:
-        return replace(converter, lean=converter.expected)
-    seen = float(shape @ error) / power
-    # Neighbouring samples share their error: the scatter is that of sums over pieces.
-    left = shape * (error - seen * shape)
-    scatter = np.sum(np.add.reduceat(left, np.arange(0, len(left), PIECE)) ** 2) / power**2
-    variance = max(float(scatter), converter.step**2 / 12 / power)
-    lean = (BELIEF**2 * seen + variance * converter.expected) / (BELIEF**2 + variance)
-    return replace(converter, lean=float(np.clip(lean, 0.0, MOST)))
-
-
 @dataclass(frozen=True, eq=False)
 class LastingError:
     """The part of a converter's error that no noise blurs: it stays while the signal stays between two levels.
@@ -164,18 +95,15 @@ class LastingError:
         return np.asarray((stays - 1) / (stays + 1))
 
 
-def lasting_error(
-    y: Array, step: float, lean: float = 0.0, tells: NDArray[np.bool_] | None = None
-) -> LastingError | None:
+def lasting_error(y: Array, step: float, tells: NDArray[np.bool_] | None = None) -> LastingError | None:
     """What lasts of a converter's error; None if that does not matter.
 
-    Noise makes the error another one at every sample. What it does not blur, and `Converter.bias` does not know, stays while
-    the signal stays between two levels: Gray and Stockham (1993), Dithered quantizers, doi:10.1109/18.256489.
+    Noise makes the error another one at every sample. What it does not blur stays while the signal stays between two
+    levels: Schuchman (1964), doi:10.1109/TCOM.1964.1088973; Gray and Stockham (1993), doi:10.1109/18.256489.
 
     Args:
         y: (N,) as recorded, without gaps.
         step: least significant bit; 0 if it has no converter.
-        lean: what is known of its lean.
         tells: (N,) samples that tell its noise; None is all.
 
     >>> held, noise = np.repeat(np.arange(40) * 7.3, 100), np.random.default_rng(0).standard_normal(4000)
@@ -191,7 +119,6 @@ def lasting_error(
     order = np.arange(1, HARMONICS + 1)
     noise = noise_sd(y if tells is None else y[tells], step)
     mean = np.exp(-2 * (np.pi * order * noise / step) ** 2)
-    mean[0] -= min(mean[0], lean)
     share = float(np.sum((mean / order) ** 2) / np.sum(1.0 / order**2))
     stays = _stays(smoothed(y, step), step)
     if share * (float(np.mean(stays)) - 1) < NEGLIGIBLE:

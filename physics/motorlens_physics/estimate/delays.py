@@ -94,7 +94,9 @@ def gains_of_lags(part: Errors, c: int, most: int, columns: Array, width: Array)
     shown = part.run.measured[:, c] - part.difference[:, c]
     signal = np.zeros((*part.error.shape, 1))
     signal[:, c, 0] = shown - np.median(shown)
-    white = innovations(part.space, np.concatenate([part.error[:, :, None], signal, columns], axis=2)).white
+    white = innovations(
+        part.read.space, np.concatenate([part.read.error[:, :, None], signal, columns], axis=2)
+    ).white
     error, moved, slopes = white[:, :, 0], white[:, :, 1], white[:, :, 2:]
     rest = error + moved
     lags, rows = np.arange(-most, most + 1), len(shown)

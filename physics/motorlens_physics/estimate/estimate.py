@@ -119,7 +119,7 @@ def whole(
     """
     point = _with_more(reached, *pieces_of(begin, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, begin, runs, runs, prior, progress)
-    return _with_converters_and_shaft(point, begin.tolerance, prior)
+    return _with_shaft(point, begin.tolerance, prior)
 
 
 def near(
@@ -166,7 +166,7 @@ def beside(
         ModelError: the motor cannot be simulated where it starts.
     """
     noises = [run.noise for run in runs if run.noise is not None]
-    point = _with_converters_and_shaft(from_noise(model, runs, noises, prior), model.tolerance, prior)
+    point = _with_shaft(from_noise(model, runs, noises, prior), model.tolerance, prior)
     point, gram, left = _tempered(point, prior, progress, trusted=TRUSTED)
     return _concluded(point, prior, gram, left)
 
@@ -183,17 +183,12 @@ def _tempered(
     return point, gram, left
 
 
-def _with_converters_and_shaft(near: Weighed, tolerance: float, prior: Prior) -> Weighed:
-    """A point near the best parameters with what shows only there: how its converters lean, and where its shaft stood."""
+def _with_shaft(near: Weighed, tolerance: float, prior: Prior) -> Weighed:
+    """A point near the best parameters with what shows only there, where its shaft stood, simulated this exactly."""
     turned = any(
         state.kind == "angle" for effect in near.model.file.motor.effects for state in effect.states.values()
     )
     runs = _followed(near.model, near.runs) if turned else near.runs
-    # A converter that was found to lean has been shown so, not as it truly was.
-    runs = tuple(
-        run if any(one.lean for one in run.converters) else run.leaning(part.run.measured - part.difference)
-        for part, run in zip(near.parts, runs, strict=True)
-    )
     alike = all(run is part.run for part, run in zip(near.parts, runs, strict=True))
     if alike and tolerance == near.model.tolerance:
         return near

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.innovations import spread
 from motorlens_physics.estimate.model import TOLERANCE, Model, inputs_of, motor_of, predict, start_of
-from motorlens_physics.estimate.noise import INPUTS, Noise
+from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import noise_sd, roughness
@@ -91,21 +91,17 @@ def floor_of(model: Model, run: Run, r: int, error: Array, *, averaged: int = 1)
     rough = np.array(
         [
             # The steps of a converter are no rest.
-            noise_sd(e[there]) if converter.step else roughness(e[there], y[there])
-            for e, y, there, converter in zip(
-                error.T, run.measured.T, run.there.T, run.converters, strict=True
-            )
+            noise_sd(e[there]) if step else roughness(e[there], y[there])
+            for e, y, there, step in zip(error.T, run.measured.T, run.there.T, run.steps, strict=True)
         ]
     )
-    white = np.minimum(run.noise.channels, rough**2 + run.quantum**2)
+    white = np.minimum(run.noise.channels, rough**2) + run.steps**2 / 12
     lasting = run.noise.lasting_of_channels(run)
-    return np.sqrt(white / averaged + lasting + stirred_by_inputs(model, run, r, run.noise))
+    return np.asarray(np.sqrt(white / averaged + lasting + stirred_by_inputs(model, run, r, run.noise)))
 
 
 def stirred_by_inputs(model: Model, run: Run, r: int, noise: Noise) -> Array:
     """(C,) variance that noise of the measured inputs stirs up in what the model shows."""
     inputs = inputs_of(model, run, r)
     _, linear = linearise(motor_of(model, run), inputs, start_of(model, r), smooth=True, tolerance=TOLERANCE)
-    errors = {name: error for name, error in run.converter_errors.items() if name in INPUTS}
-    of_inputs = replace(run, converter_errors=errors)
-    return spread(noise.of_inputs(len(run.channels)).space(of_inputs, linear, run.there))
+    return spread(noise.of_inputs(len(run.channels)).space(run, linear, run.there))

@@ -8,12 +8,19 @@ doi:10.1109/TAC.1968.1099025). The same filter, applied to sensitivities, makes 
 backwards gives the disturbances themselves (de Jong 1988, doi:10.1093/biomet/75.3.594), and with them the exact score of
 every variance (Koopman and Shephard 1992, doi:10.1093/biomet/79.4.823).
 
+What a converter shows is no number but an interval: the truth lies within half a step of the reading. `read` puts in its
+place what says as much, near the errors as they are: a reading and a noise of it that have the same score and the same
+information, and so leave the state where the mean and the variance of the truth within the interval are (Curry 1970,
+Estimation and Control with Quantized Measurements, MIT Press). A signal that stays between two levels then tells no more
+than that, however long it stays.
+
 The state of the filter is the motor's n states, one value for every input (the error of its latest sample) and one for
 every slow disturbance. Measured channels are taken in one by one, so that no matrix is inverted and a missing sample
 is left out.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -30,6 +37,12 @@ Array = NDArray[np.float64]
 FEW = 5
 # Sums in any order; what is infinite stays so.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
+# Information of a reading, as a share of that of its truth, below which it tells nothing; deviations from which on a tail is
+# taken as its asymptote.
+TELLS_NOTHING, TAIL = 1e-12, 25.0
+
+
+NOTHING = np.zeros((0, 0))
 
 
 @dataclass(frozen=True)
@@ -41,10 +54,11 @@ class StateSpace:
         shows: (C,) the state that each channel shows.
         balances: (D,) the balance (0 voltage, 1 torque, 2 heat) that each disturbance enters; -1 is none.
         drifts: (C, T) disturbances that each channel shows besides its state, as they are; -1 is none.
+        steps: (C,) least significant bit of each channel's converter; 0 is none, or that it was `read`.
         holds: (D,) whether a disturbance holds from its sample to the next, or runs linearly.
         keeps: (N - 1, D) share of a disturbance that remains at the next sample; 0 is white.
         variance: (D,) of a disturbance, stationary.
-        noise: (N, C) variance of the sensors' white noise; infinite where nothing was measured.
+        noise: (N, C) variance of the sensors' white noise, their converters' included; infinite where nothing was measured.
         start: (n,) variance of the motor's states at the first sample beside what is fitted.
     """
 
@@ -52,6 +66,7 @@ class StateSpace:
     shows: NDArray[np.int64]
     balances: NDArray[np.int64]
     drifts: NDArray[np.int64]
+    steps: Array
     holds: NDArray[np.bool_]
     keeps: Array
     variance: Array
@@ -75,6 +90,24 @@ class Filtered:
 
 
 @dataclass(frozen=True)
+class Read:
+    """Errors as converters let them be told.
+
+    Attributes:
+        space: with the noise that readings have near these errors, and no converter.
+        error: (N, C) with readings that say as much as the intervals do.
+        deviance: (N, C) twice the logarithm by which each sample would be likelier if it showed just what is expected.
+        unlikely: (N, C) twice the negative logarithmic likelihood of each sample, but for a constant; 0 where nothing was
+            measured.
+    """
+
+    space: StateSpace
+    error: Array
+    deviance: Array
+    unlikely: Array
+
+
+@dataclass(frozen=True)
 class Sums:
     """Sums over white columns z (rows, k) and white errors e (rows,).
 
@@ -92,6 +125,15 @@ class Sums:
 def innovations(space: StateSpace, columns: Array) -> Filtered:
     """Filter columns (N, C, m), such as errors of all channels."""
     return _Filter(space, columns.shape[2])(0, columns)
+
+
+def read(space: StateSpace, error: Array) -> Read:
+    """What readings (N, C) less what is expected of them tell, sample by sample."""
+    error, noise = np.array(error, order="C"), space.noise.copy()
+    deviance, unlikely = np.zeros(error.shape), np.zeros(error.shape)
+    filters = _Filter(replace(space, noise=noise), 1)
+    filters(0, error[:, :, None], space.steps, deviance, unlikely)
+    return Read(replace(space, noise=noise, steps=np.zeros(len(space.steps))), error, deviance, unlikely)
 
 
 def sums(space: StateSpace, columns: Array, error: Array, blocks: int) -> Sums:
@@ -141,8 +183,15 @@ class _Filter:
         self._covariance = np.diag(np.concatenate([space.start, space.variance]))
         self._states = np.zeros((n + count, width))
 
-    def __call__(self, first: int, columns: Array) -> Filtered:
-        """Take in the samples (S, C, m) from the first on."""
+    def __call__(
+        self,
+        first: int,
+        columns: Array,
+        steps: Array | None = None,
+        deviance: Array = NOTHING,
+        unlikely: Array = NOTHING,
+    ) -> Filtered:
+        """Take in the samples (S, C, m) from the first on; with `steps`, one column is read and the others are written."""
         space, (samples, channels, _) = self._space, columns.shape
         white, scale = np.empty(columns.shape), np.empty((samples, channels))
         gain = np.zeros((samples, channels, len(self._states)))
@@ -150,7 +199,7 @@ class _Filter:
             self._each, space.matrices, space.shows, space.drifts, _balances(space), space.holds,
             space.keeps, space.variance, space.noise, first,
             self._covariance, self._states, np.ascontiguousarray(columns), white, scale,
-            gain,
+            gain, np.zeros(channels) if steps is None else steps, deviance, unlikely,
         )  # fmt: skip
         return Filtered(white, scale, gain)
 
@@ -251,9 +300,52 @@ def _spread(  # type: ignore[no-untyped-def]
                     power[c] += (2.0 * P[h, n + d] + P[n + d, n + d]) / samples
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interval(error, power, step):  # type: ignore[no-untyped-def]
+    """A reading so far from where it is expected, with a variance, that tells the truth within half a step of itself.
+
+    Returns:
+        How far from there the mean of the truth is, its share of information, the logarithm of the probability density
+        of the reading, but for a constant, and the largest that this can be.
+    """
+    root = np.sqrt(power)
+    a, b = (abs(error) - 0.5 * step) / root, (abs(error) + 0.5 * step) / root
+    width = np.log(step / np.sqrt(2 * np.pi))
+    most = np.log(math.erf(0.5 * step / (root * np.sqrt(2.0)))) - width
+    if a > TAIL:
+        mean, share = a + 1.0 / a, 1.0 - 1.0 / (a * a)
+        chance = -0.5 * a * a - np.log(a * np.sqrt(2 * np.pi)) - width
+    else:
+        within = 0.5 * (math.erfc(a / np.sqrt(2.0)) - math.erfc(b / np.sqrt(2.0)))
+        below = np.exp(-0.5 * a * a) / np.sqrt(2 * np.pi)
+        above = np.exp(-0.5 * b * b) / np.sqrt(2 * np.pi)
+        mean = (below - above) / within
+        share = mean * mean + (b * above - a * below) / within
+        chance = np.log(within) - width
+    return np.copysign(mean * root, error), min(share, 1.0), chance, most
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _filter(  # type: ignore[no-untyped-def]
-    each, matrices, shows, drifts, balances, holds, keeps, variance, noise, begin, P, z, y, white, scale, gain
+    each,
+    matrices,
+    shows,
+    drifts,
+    balances,
+    holds,
+    keeps,
+    variance,
+    noise,
+    begin,
+    P,
+    z,
+    y,
+    white,
+    scale,
+    gain,
+    steps,
+    deviance,
+    unlikely,
 ):
     # The compiler unrolls loops over tuples.
     n, count = len(each), len(balances)
@@ -296,10 +388,26 @@ def _filter(  # type: ignore[no-untyped-def]
                         K[r] += P[r, n + d]
                     for m in range(width):
                         white[row, c, m] -= z[n + d, m]
-            power = K[h] + noise[k, c]
+            known = K[h]
             for d in drifts[c]:
                 if d >= 0:
-                    power += K[n + d]
+                    known += K[n + d]
+            power = known + noise[k, c]
+            if steps[c] > 0:
+                power -= steps[c] ** 2 / 12
+                best, share, chance, most = _interval(white[row, c, 0], power, steps[c])
+                deviance[k, c] = 2.0 * (most - chance)
+                unlikely[k, c] = -2.0 * chance
+                if share < TELLS_NOTHING:
+                    noise[k, c], scale[row, c], white[row, c, 0] = np.inf, np.inf, 0.0
+                    continue
+                y[row, c, 0] += best / share - white[row, c, 0]
+                white[row, c, 0] = best / share
+                power /= share
+                noise[k, c] = power - known
+            elif len(deviance):
+                deviance[k, c] = white[row, c, 0] ** 2 / power
+                unlikely[k, c] = deviance[k, c] + np.log(power)
             root = np.sqrt(power)
             scale[row, c] = root
             for r in range(s):
@@ -435,10 +543,12 @@ def share_that_remains(time_s: Array, lasts_s: Array) -> Array:
 
 __all__: list[Any] = [
     "Filtered",
+    "Read",
     "StateSpace",
     "Sums",
     "disturbances",
     "innovations",
+    "read",
     "share_that_remains",
     "spread",
     "sums",

@@ -130,26 +130,15 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
         tolerance=model.tolerance,
         smooth=True,
     )
-    return trajectory, _read(model, run, r, _stack(run, trajectory))
+    return trajectory, shown(model, run, r, _stack(run, trajectory))
 
 
 def shown(model: Model, run: Run, r: int, y: Array) -> Array:
-    """(N, C) true outputs to what the sensors show."""
-    return _read(model, run, r, np.array(y, dtype=np.float64))
-
-
-def _read(model: Model, run: Run, r: int, out: Array) -> Array:
-    """Turn true outputs into what is shown, in place."""
-    _sample(model, run, r, out)
-    for k, converter in enumerate(run.converters):
-        out[:, k] += converter.bias(out[:, k])
-    return out
-
-
-def _sample(model: Model, run: Run, r: int, out: Array) -> None:
-    """Turn true outputs (N, C) into what converters are given, in place."""
+    """(N, C) true outputs to what the sensors show, before converters make steps of it."""
+    out = np.array(y, dtype=np.float64)
     for k, channel in enumerate(run.channels):
         out[:, k] = _skewed(model, run, r, channel, _sensed(model, run, channel, out[:, k]))
+    return out
 
 
 def _sensed(model: Model, run: Run, channel: str, y: Array) -> Array:
@@ -224,13 +213,11 @@ def sensitivities_of(
             columns[:, run.channels.index("temperature"), j] = 1.0
     columns = through_sensors(model, run, r, columns)
     out = shown(model, run, r, y)
-    slope = _slope(model, run, r, y)
-    columns *= slope[:, :, None]
     for j, (key, name) in enumerate(zip(keys, local, strict=True)):
         if name.startswith("skew."):
             k = run.channels.index(name[5:])
             rate = np.gradient(_sensed(model, run, name[5:], y[:, k]), run.inputs.time_s)
-            columns[:, k, j] = -slope[:, k] * rate
+            columns[:, k, j] = -rate
         elif key in outside or _is_sensor(model, key):
             value = model.file.values()[key]
             # A phase may be 0, typically too; what is known of it beforehand never is.
@@ -245,17 +232,8 @@ def sensitivities_of(
                 torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
                 held=inputs.hold,
             )
-            columns[:, :, j] = slope * through_sensors(model, run, r, _stack_states(run, moved))[:, :, 0]
+            columns[:, :, j] = through_sensors(model, run, r, _stack_states(run, moved))[:, :, 0]
     return trajectory, out, columns, linear
-
-
-def _slope(model: Model, run: Run, r: int, y: Array) -> Array:
-    """(N, C) by how much what converters show rises with true outputs (N, C)."""
-    slope, given = np.ones_like(y), y.copy()
-    _sample(model, run, r, given)
-    for k, converter in enumerate(run.converters):
-        slope[:, k] = converter.slope(given[:, k])
-    return slope
 
 
 def error_of(model: Model, run: Run, r: int, difference: Array, linear: Linearisation) -> Array:

@@ -22,6 +22,7 @@ from motorlens_physics.estimate.innovations import (
     StateSpace,
     disturbances,
     innovations,
+    read,
     share_that_remains,
 )
 from motorlens_physics.estimate.run import STATE_OF, Run
@@ -70,6 +71,8 @@ SLOWEST, FARTHEST = 0.95, 3.0
 # Variances are believed down to this share of the channel's mean square: ten times the integration's own error, squared.
 # And in a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
 LEAST, TINY = 1e-9, 1e-12
+# The levels of a converter are no more even than this share of a step: its differential nonlinearity.
+UNEVEN_LEVELS = 0.1
 # A measured input is no noisier than this many times the variance that it shows; nor is a channel's coloured noise.
 MOST_OF_LOOKS = 1.5
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
@@ -81,12 +84,12 @@ class Noise:
     """The noise of one recording.
 
     Attributes:
-        channels: (C,) variance of each sensor's white noise, in its unit squared.
+        channels: (C,) variance of each sensor's white noise, in its unit squared, before its converter.
         disturbances: (3,) variance of the voltage's (V^2) and the load's white noise and of the slow torque ((N m)^2); or
             (5 + C,), followed by those of the coloured noise, of the voltage, the load and each channel.
         most: the largest that each can be: a measured input is no noisier than it looks.
         lasts_s: how long each lasts; 0 is white.
-        floor: (C,) smallest variance that is believed: the converter's, or the integration's.
+        floor: (C,) smallest variance that is believed: what a converter's levels are uneven by, or the integration's error.
         least: the smallest that each disturbance can be: an input is as noisy as the errors that follow its roughness say.
     """
 
@@ -144,7 +147,7 @@ class Noise:
     def coloured(self, run: Run, error: Array, samples: float) -> "Noise":
         """With coloured noise besides, as much as an input looks, and the error (N, C) of a channel."""
         shown = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
-        steps = (*run.input_step, *(converter.step for converter in run.converters))
+        steps = (*run.input_step, *run.steps)
         looks = [
             coloured_sd(y, samples, step) ** 2 for y, step in zip((*shown, *error.T), steps, strict=True)
         ]
@@ -174,14 +177,12 @@ class Noise:
         return replace(self, channels=np.zeros(channels), disturbances=variance, lasts_s=lasts)
 
     def lasting_of_channels(self, run: Run) -> Array:
-        """(C,) variance of what lasts of the sensors' own errors: coloured noise, and that of converters."""
-        errors = [run.converter_errors.get(channel) for channel in run.channels]
-        converters = np.array([0.0 if error is None else error.variance for error in errors])
+        """(C,) variance of what lasts of the sensors' own errors: coloured noise."""
         coloured = self.disturbances[COLOURED][len(INPUTS) :]
-        return converters + (coloured if coloured.size else 0.0)
+        return coloured if coloured.size else np.zeros(len(run.channels))
 
     def all_of(self, run: Run) -> Array:
-        """(T,) variance of all disturbances of `space`: those that were found, and what lasts of converters' errors."""
+        """(T,) variance of all disturbances of `space`: those found, and what lasts of the errors of inputs' converters."""
         return np.append(self.disturbances, [lasts.variance for lasts in run.converter_errors.values()])
 
     def space(self, run: Run, linear: Linearisation, used: NDArray[np.bool_]) -> StateSpace:
@@ -189,12 +190,10 @@ class Noise:
         sensors = (*INPUTS, *run.channels)
         coloured_too = sensors if len(self.disturbances) > len(BALANCES) else ()
         lasting = (*coloured_too, *run.converter_errors)
-        # The last disturbance of a name is its converter's.
-        first = len(BALANCES) + np.arange(len(lasting))
-        drifts = np.full((len(run.channels), 2), -1)
-        for position, name in zip(first, lasting, strict=True):
-            if name in run.channels:
-                drifts[run.channels.index(name), int(position >= len(self.disturbances))] = position
+        first = len(BALANCES) + len(INPUTS)
+        drifts = np.full((len(run.channels), 1), -1)
+        if coloured_too:
+            drifts[:, 0] = first + np.arange(len(run.channels))
         of_input = [INPUTS.index(name) if name in INPUTS else -1 for name in lasting]
         hold = run.inputs.hold
         # A torque that nobody measured has no reason to hold: it runs from one sample to the next.
@@ -203,6 +202,7 @@ class Noise:
             np.array([linear.states.index(STATE_OF[channel]) for channel in run.channels]),
             np.concatenate([BALANCES, np.array(of_input, dtype=np.int64)]),
             drifts,
+            run.steps,
             np.array([hold[0], hold[1], False, *(which < 0 or hold[which] for which in of_input)]),
             np.column_stack(
                 [
@@ -211,7 +211,7 @@ class Noise:
                 ]
             ),
             self.all_of(run),
-            np.ascontiguousarray(np.where(used, self.channels, np.inf)),
+            np.ascontiguousarray(np.where(used, self.channels + run.steps**2 / 12, np.inf)),
             np.zeros(len(linear.states)),
         )
 
@@ -222,7 +222,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
     scale = np.array(
         [np.mean(y[there] ** 2) if there.any() else 1.0 for y, there in _columns(run.measured, run)]
     )
-    floor = np.maximum(run.quantum**2, np.maximum(LEAST * scale, TINY))
+    floor = np.maximum((UNEVEN_LEVELS * run.steps) ** 2, np.maximum(LEAST * scale, TINY))
     shown = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
     looks = np.array(
         [noise_sd(y, step) ** 2 + step**2 / 12 for y, step in zip(shown, run.input_step, strict=True)]
@@ -232,7 +232,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
     torque = torque_Nm**2
     most = np.array([*(MOST_OF_LOOKS * looks), torque])
     return Noise(
-        np.maximum(size, floor),
+        np.maximum(size - run.steps**2 / 12, floor),
         np.array([*looks, SMALL_TORQUE**2 * torque]),
         most,
         np.array([0.0, 0.0, LASTS[1] * run.period_s]),
@@ -281,11 +281,11 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
         here = replace(
             part,
             variance=np.append(noise.disturbances, part.variance[len(noise.disturbances) :]),
-            noise=np.where(np.isfinite(part.noise), noise.channels, np.inf),
+            noise=np.where(np.isfinite(part.noise), noise.channels + part.steps**2 / 12, np.inf),
         )
-        filtered = innovations(here, error[:, :, None])
-        finite = np.isfinite(filtered.scale)
-        total += float(np.sum(filtered.white**2) + 2 * np.sum(np.log(filtered.scale[finite])))
+        seen = read(here, error)
+        here, filtered = seen.space, innovations(seen.space, seen.error[:, :, None])
+        total += float(np.sum(seen.unlikely))
         _, of_inputs, of_channels = disturbances(here, filtered)
         inputs, sensors = inputs + of_inputs, sensors + of_channels
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
@@ -390,7 +390,8 @@ def coloured(noise: Noise, run: Run, linear: Linearisation, error: Array, used: 
         options={"xatol": DURATION},
     )
     other, _ = tried(other, np.exp(likeliest.x))
-    left = innovations(other.space(run, linear, used), error[:, :, None]).white[:, :, 0]
+    seen = read(other.space(run, linear, used), error)
+    left = innovations(seen.space, seen.error[:, :, None]).white[:, :, 0]
     powers = np.array([np.mean(part**2) for part in np.array_split(left, PARTS)])
     return other if _correlation(left) < WHITE and np.std(powers) < UNEVEN * np.mean(powers) else noise
 

@@ -15,11 +15,8 @@ from scipy.signal import lfilter
 
 from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.converter import (
-    Converter,
     LastingError,
-    converter_of,
     lasting_error,
-    leaning,
     quantisation_step,
     saturated,
 )
@@ -77,19 +74,18 @@ class Run:
         angle: (N,) shaft angle, if recorded.
         shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
         there: (N, C) which samples of each output were measured, and not imposed on the motor.
-        quantum: (C,) standard deviation of the error that the converter of an output adds to a sample.
-        converter_errors: sensor -> what lasts of its converter's error, where that matters, see `converter.lasting_error`.
+        steps: (C,) least significant bit of the converter of each output, 0 if continuous.
+        converter_errors: input -> what lasts of its converter's error, where that matters, see `converter.lasting_error`.
         input_step: the least significant bit of voltage and load torque, 0 if continuous.
         corrections: (N, 2) what the sensors of voltage (V) and load torque (N m) showed too little, as a fit expects it
             given all that was measured; None is nothing.
-        converters: of the channels.
         turns: whether what goes with the shaft angle is looked for in it, see `prepare_all`.
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
         hung: channel -> when it first and last hung, in s; these samples are not valid.
         saturated: channel -> how many of its samples are at the end of its converter's range; these are not valid.
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
-        unmoved: the run before its channels were moved or its converters were found to lean; None if neither was.
+        unmoved: the run before its channels were moved; None if none was.
     """
 
     name: str
@@ -98,7 +94,7 @@ class Run:
     measured: Array
     valid: NDArray[np.bool_]
     there: NDArray[np.bool_]
-    quantum: Array
+    steps: Array
     every: int
     start: dict[str, float]
     known: tuple[str, ...]
@@ -107,7 +103,6 @@ class Run:
     input_step: tuple[float, float] = (0.0, 0.0)
     corrections: Array | None = None
     offset_below: Mapping[str, float] = field(default_factory=dict)
-    converters: tuple[Converter, ...] = ()
     converter_errors: Mapping[str, LastingError] = field(default_factory=dict)
     turns: bool = True
     shaft: Mapping[str, Array] | None = None
@@ -176,10 +171,10 @@ class Run:
             return self
         late = dict(self.late) | {channel: self.late.get(channel, 0) + samples}
         unmoved = self.unmoved or self
-        errors = dict(self.converter_errors)
-        if channel in errors:
-            errors[channel] = replace(errors[channel], stays=_earlier(errors[channel].stays, samples))
         if channel == "voltage":
+            errors = dict(self.converter_errors)
+            if channel in errors:
+                errors[channel] = replace(errors[channel], stays=_earlier(errors[channel].stays, samples))
             # What was applied is what was recorded later; beyond the end, the last.
             moved = _earlier(self.inputs.voltage_V, samples)
             inputs = replace(self.inputs, voltage_V=moved)
@@ -196,7 +191,6 @@ class Run:
             valid=valid,
             late=late,
             unmoved=unmoved,
-            converter_errors=errors,
         )
 
     @property
@@ -204,24 +198,6 @@ class Run:
         """Which channels reach the end of their converter's range, for the reader."""
         told = " and ".join(f"{count} samples of {channel}" for channel, count in self.saturated.items())
         return f"{self.name}: {told} lie at the end of the converter's range; they were left out."
-
-    def leaning(self, truth: Array) -> "Run":
-        """With its converters' lean towards their levels as what a fit (N, C) leaves tells; itself if none has a converter.
-
-        What is known of a reading's error does not last.
-        """
-        if not any(converter.step for converter in self.converters):
-            return self
-        errors, found = dict(self.converter_errors), []
-        for k, (channel, converter) in enumerate(zip(self.channels, self.converters, strict=True)):
-            one = leaning(converter, truth[self.valid, k], (self.measured - truth)[self.valid, k])
-            lasts = lasting_error(self.measured[:, k], one.step, one.lean, ~self.rests)
-            found.append(one)
-            errors.pop(channel, None)
-            if lasts is not None:
-                errors[channel] = lasts
-        unmoved = self.unmoved or self
-        return replace(self, converters=tuple(found), converter_errors=errors, unmoved=unmoved)
 
     def part(self, rows: slice, file: MotorFile) -> "Run":
         """Some consecutive samples as a run of its own, as they are: none is averaged with another."""
@@ -285,7 +261,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     time = recording.time_s - begin if begin else recording.time_s
     measured = np.empty((rows, len(used)))
     present = np.ones((rows, len(used)), dtype=bool)
-    floor, quantum = np.empty(len(used)), np.empty(len(used))
+    floor, least_bits = np.empty(len(used)), np.empty(len(used))
     # The rise is what is measured less the ambient: noise of the one sensor must not pass for a response of the other.
     ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
     ambient = level_of(time, ambient, AMBIENT_S)
@@ -298,7 +274,6 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     tells = ~resting([*measured.T, inputs.voltage_V, inputs.load_torque_Nm])
     hung: dict[str, tuple[float, float]] = {}
     ends: dict[str, int] = {}
-    converters: list[Converter] = []
     errors: dict[str, LastingError] = {}
     for k, channel in enumerate(used):
         y = recording.channels[channel]
@@ -310,14 +285,8 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
             hung[channel] = (first, last)
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
-        converter = converter_of(y, tells)
-        lasts = lasting_error(measured[:, k], converter.step, tells=tells)
-        converters.append(converter)
-        # Where in its step a reading lies no prediction tells that is off by a part of one.
-        quantum[k] = converter.step / np.sqrt(12)
-        if lasts is not None:
-            errors[channel] = lasts
-        floor[k] = max(quantum[k], 1e-4 * spread, 1e-9) / np.sqrt(every)
+        least_bits[k] = quantisation_step(y)
+        floor[k] = max(least_bits[k] / np.sqrt(12), 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
     angle = recording.channels.get("angle")
@@ -344,9 +313,9 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         q: limit for q in ("voltage", *used) if (limit := largest_offset(recording.channels[q])) is not None
     }
     return Run(
-        recording.name, inputs, used, measured, np.all(present, axis=1), present, quantum, every, start, known, floor, angle,
-        input_step=coarse_inputs,
-        offset_below=exact, converters=tuple(converters), converter_errors=errors,
+        recording.name, inputs, used, measured, np.all(present, axis=1), present, least_bits, every, start, known, floor,
+        angle, input_step=coarse_inputs,
+        offset_below=exact, converter_errors=errors,
         shaft=shaft, hung=hung, saturated=ends,
     )  # fmt: skip
 

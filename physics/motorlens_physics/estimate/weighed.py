@@ -15,7 +15,7 @@ from scipy.special import chdtri
 
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
-from motorlens_physics.estimate.innovations import StateSpace, Sums, disturbances, innovations, sums
+from motorlens_physics.estimate.innovations import Read, Sums, disturbances, innovations, read, sums
 from motorlens_physics.estimate.input_noise import share_that_is_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import (
@@ -103,18 +103,19 @@ class Errors:
         """The linearised motor."""
         return self.frame.linear
 
-    @property
-    def space(self) -> StateSpace:
-        """Of its errors."""
-        return self.noise.space(self.frame.run, self.frame.linear, self.used)
+    @cached_property
+    def read(self) -> Read:
+        """What its readings tell beside these errors."""
+        return read(self.noise.space(self.frame.run, self.frame.linear, self.used), self.error)
 
     def sums(self, blocks: int) -> Sums:
         """Of white sensitivities and errors."""
-        return sums(self.space, self.columns, self.error, blocks)
+        made = sums(self.read.space, self.columns, self.read.error, blocks)
+        return replace(made, squares=self.squares())
 
     def squares(self) -> float:
         """Of white errors alone."""
-        return float(np.sum(innovations(self.space, self.error[:, :, None]).white ** 2))
+        return float(np.sum(self.read.deviance))
 
     def with_rough_inputs(self, recorded: "Errors") -> "Errors":
         """With inputs as noisy at least as errors say that follow their roughness, seen along the inputs as `recorded`."""
@@ -139,8 +140,8 @@ class Errors:
     def with_noise(self, updates: int, *, outliers: bool) -> "Errors":
         """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
         noise, _ = likelier(self.noise, self.run, self.linear, self.error, self.used, updates)
-        space = noise.space(self.run, self.linear, self.run.there)
-        filtered = innovations(space, self.error[:, :, None])
+        heard = read(noise.space(self.run, self.linear, self.run.there), self.error)
+        space, filtered = heard.space, innovations(heard.space, heard.error[:, :, None])
         used = self.run.there
         if outliers:
             used = used & (np.abs(filtered.white[:, :, 0]) <= OUTLIER)
@@ -223,7 +224,7 @@ class Weighed:
         def one(pair: tuple[Errors, Errors]) -> Array:
             part, there = pair
             columns = np.concatenate([there.columns, there.error[:, :, None]], axis=2)
-            return np.asarray(sums(part.space, columns, part.error, 1).scores[0])
+            return np.asarray(sums(part.read.space, columns, part.read.error, 1).scores[0])
 
         products = np.zeros(self.size + 1)
         for part, scores in zip(

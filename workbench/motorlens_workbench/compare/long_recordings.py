@@ -76,10 +76,10 @@ def beside(
 
 
 def _along(model: Model, run: Run, r: int, lively: FreeRun) -> FreeRun:
-    """All of a run, with the delays, converters and floor of its liveliest part."""
+    """All of a run, with the delays and floor of its liveliest part."""
     found = lively.run
     for channel, samples in found.late.items():
         run = run.delayed(channel, samples)
-    run = replace(run.holding(found.inputs.hold), converters=found.converters, noise=found.noise)
+    run = replace(run.holding(found.inputs.hold), noise=found.noise)
     trajectory, predicted = predict(model, run, r)
     return FreeRun(run, trajectory, predicted, lively.floor)

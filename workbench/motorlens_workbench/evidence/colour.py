@@ -32,11 +32,12 @@ def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise) -> float:
     """Twice the logarithmic likelihood that the filter for the colour of innovations (N, C) wins over none, at least 0.
 
     It is a measure of what the model of the noise, or the model, does not explain. Nothing is won below the smallest noise
-    that is believed.
+    that is believed, nor below what is expected of readings coarser than the noise: how often they change goes with where
+    the signal lies between two levels, and that lasts.
     """
     left = whitener(white) * whitener.sigma
     told = run.valid.copy()
     told[: whitener.order] = False
-    least = np.where(noise.channels <= noise.floor, 1.0, SMALLEST**2)
+    least = np.where(noise.channels <= np.maximum(noise.floor, run.steps**2 / 12), 1.0, SMALLEST**2)
     before, after = (np.maximum(np.mean(y[told] ** 2, axis=0), least) for y in (white, left))
     return max(float(np.sum(told) * np.sum(np.log(before / after))), 0.0)

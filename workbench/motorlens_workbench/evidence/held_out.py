@@ -85,6 +85,6 @@ def times_noise(book: Ledger, lines: Sequence[Line]) -> float:
     noise = pooled_floor(lines[0].model, runs)
     for run in runs:
         if run.noise is not None:
-            believed = zip(run.channels, np.sqrt(run.noise.floor).tolist(), strict=True)
+            believed = zip(run.channels, np.sqrt(run.noise.floor + run.steps**2 / 12).tolist(), strict=True)
             noise |= {channel: max(noise[channel], least) for channel, least in believed}
     return max(error / noise[channel] for channel, error in held_out(book, lines).items())

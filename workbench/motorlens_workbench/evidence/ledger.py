@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.innovations import innovations
+from motorlens_physics.estimate.innovations import innovations, read
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.weighed import BLOCKS
@@ -240,16 +240,17 @@ class Lens:
     rests: Sequence[Array] | None = None
     plain: bool = False
 
-    def white(self, line: Line) -> tuple[Callable[[Array], Array], float]:
-        """What makes columns (N, C, m) of a run white, and the colour that it takes out, see `Ledger`."""
-        space = self.noises[line.r].space(line.run, line.linear, line.run.there)
+    def white(self, line: Line) -> tuple[Callable[[Array], Array], Array, float]:
+        """What makes columns (N, C, m) of a run white, its errors (N, C) as read, and the colour taken out, see `Ledger`."""
+        rest = line.error if self.rests is None else self.rests[line.r]
+        seen = read(self.noises[line.r].space(line.run, line.linear, line.run.there), rest)
         whitener, colour = white_noise(np.ones(line.error.shape[1])), 0.0
         if not self.plain:
-            rest = line.error if self.rests is None else self.rests[line.r]
-            left = innovations(space, rest[:, :, None]).white[:, :, 0]
+            left = innovations(seen.space, seen.error[:, :, None]).white[:, :, 0]
             whitener = coloured(line.run, left, len(line.keys))
             colour = gain_of(line.run, left, whitener, self.noises[line.r])
-        return lambda columns: whitener(innovations(space, columns).white), colour
+        error = line.error + (seen.error - rest)
+        return lambda columns: whitener(innovations(seen.space, columns).white), error, colour
 
 
 def ledger(lines: Sequence[Line], lens: Lens, prior: Prior, hypotheses: Sequence[Hypothesis]) -> Ledger:
@@ -308,11 +309,11 @@ def _sums(
     shapes: Sequence[Shape],
 ) -> list[_Sums]:  # fmt: skip
     unit = np.array([prior.sd[key] for key in line.keys])
-    table = np.concatenate([line.own * unit, line.error[:, :, None]], axis=2)
     filters, made = [], []
     for lens in lenses:
-        white, colour = lens.white(line)
-        wide = np.zeros((*table.shape[:2], len(keys) + 1))
+        white, error, colour = lens.white(line)
+        wide = np.zeros((*error.shape, len(keys) + 1))
+        table = np.concatenate([line.own * unit, error[:, :, None]], axis=2)
         wide[:, :, [*(list(keys).index(key) for key in line.keys), len(keys)]] = white(table)
         filters.append((white, wide))
         made.append(_Sums(np.array([_products(wide[rows], wide[rows]) for rows in blocks]), [], colour))

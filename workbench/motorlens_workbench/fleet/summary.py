@@ -233,7 +233,8 @@ def _point(model: Model, found: Estimate, keys: Sequence[str]) -> Weighed:
     point = replace(point, parts=tuple(replace(part, noise=_as_it_looks(part)) for part in point.parts))
     if found.outliers:
         used = [
-            part.used & (np.abs(innovations(part.space, part.error[:, :, None]).white[:, :, 0]) <= OUTLIER)
+            part.used
+            & (np.abs(innovations(part.read.space, part.read.error[:, :, None]).white[:, :, 0]) <= OUTLIER)
             for part in point.parts
         ]
         point = weighed(model, found.runs, [part.noise for part in point.parts], used, keys)

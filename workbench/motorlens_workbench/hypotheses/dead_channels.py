@@ -120,10 +120,8 @@ def left_out(run: Run, channel: str) -> Run:
         channels=tuple(run.channels[c] for c in keep),
         measured=run.measured[:, keep],
         floor=run.floor[keep],
-        converters=tuple(run.converters[c] for c in keep),
         there=run.there[:, keep],
-        quantum=run.quantum[keep],
-        converter_errors={name: one for name, one in run.converter_errors.items() if name != channel},
+        steps=run.steps[keep],
         valid=np.all(run.there[:, keep], axis=1),
         noise=None,
     )
