@@ -11,10 +11,10 @@ from motorlens_physics.estimate import delays
 from motorlens_physics.estimate.delays import delays_of, gains_of_lags, likeliest_lag
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.model import predict, response_to_inputs, sensitivities_of
+from motorlens_physics.estimate.model import predict, response_to_inputs, sensitivities_of, through_sensors
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import base_prior
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.run import prepare, prepare_all
 from motorlens_physics.estimate.weighed import Errors, Frame, begun, needed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
@@ -126,6 +126,25 @@ def test_sensitivities_are_those_of_what_is_shown_late() -> None:
     response = response_to_inputs(model, run, 0, linear, more, 0 * more)
     change = predict(model, brighter, 0)[1] - shown
     assert response == pytest.approx(change, abs=2e-3 * float(np.abs(change).max()))
+
+
+def test_what_is_late_by_a_part_of_a_sample_goes_on_at_its_rate() -> None:
+    """Against numpy's gradient, at uneven steps."""
+    rng = np.random.default_rng(8)
+    time = np.cumsum(rng.uniform(0.5, 1.5, 50)) * PERIOD_S
+    channels = {
+        "voltage": np.sign(np.sin(time)),
+        "current": rng.standard_normal(50),
+        "speed": rng.standard_normal(50),
+    }
+    file = MotorFile("plate", Motor(**TYPICAL), PLATE)
+    run = prepare(Recording("late.csv", time, channels), file)
+    model = start_model(file, [run]).with_values({"skew.speed@0": 0.3 * PERIOD_S})
+    columns = rng.standard_normal((50, 2, 3))
+    late = through_sensors(model, run, 0, columns)
+    np.testing.assert_array_equal(late[:, 0], columns[:, 0])
+    rate = np.gradient(columns[:, 1], run.inputs.time_s, axis=0)
+    assert late[:, 1] == pytest.approx(columns[:, 1] - 0.3 * PERIOD_S * rate, abs=1e-12)
 
 
 @pytest.mark.fit

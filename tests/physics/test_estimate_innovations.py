@@ -7,7 +7,15 @@ import pytest
 from scipy.stats import norm
 
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.innovations import StateSpace, disturbances, innovations, read, spread, sums
+from motorlens_physics.estimate.innovations import (
+    StateSpace,
+    disturbances,
+    in_blocks,
+    innovations,
+    read,
+    spread,
+    sums,
+)
 from motorlens_physics.estimate.model import sensitivities_of
 from motorlens_physics.estimate.noise import first_noise, likelier
 from motorlens_physics.estimate.run import prepare
@@ -236,6 +244,13 @@ def log_between(below: np.ndarray, above: np.ndarray) -> np.ndarray:
     turned = below + above > 0
     low, high = np.where(turned, -above, below), np.where(turned, -below, above)
     return np.asarray(norm.logcdf(high) + np.log1p(-np.exp(norm.logcdf(low) - norm.logcdf(high))))
+
+
+def test_blocks_are_filtered_as_the_whole_is(space: StateSpace) -> None:
+    columns = np.random.default_rng(3).standard_normal((SAMPLES, CHANNELS, 4))
+    found = list(in_blocks(space, columns, [slice(0, 1), slice(1, 8), slice(8, SAMPLES)]))
+    assert [len(one) for one in found] == [1, 7, SAMPLES - 8]
+    np.testing.assert_array_equal(np.concatenate(found), innovations(space, columns).white)
 
 
 def test_what_has_no_converter_is_read_as_it_is(space: StateSpace) -> None:

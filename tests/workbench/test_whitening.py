@@ -1,5 +1,7 @@
 """Whitening against a known vector autoregression, and quantisation steps against a known converter."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,17 @@ def test_columns_are_filtered_like_the_residual():
     filtered = whitener(columns)
     assert filtered[:, :, 0] == pytest.approx(whitener(y))
     assert filtered[:, :, 1] == pytest.approx(3 * whitener(y))
+
+
+@pytest.mark.parametrize("memories", [(), (3.0, 10.0)])
+def test_blocks_are_filtered_as_the_whole_is(memories: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(7)
+    y, lags = rng.standard_normal((61, 2, 3)), rng.standard_normal((4, 2, 2))
+    whitener = Whitener(lags, np.array([0.5, 2.0]), memories, rng.standard_normal((len(memories), 2, 2)))
+    # Some are shorter than the filter's past.
+    edges = [0, 1, 3, 20, 22, 23, 61]
+    found = whitener.in_blocks(y[first:last] for first, last in itertools.pairwise(edges))
+    np.testing.assert_array_equal(np.concatenate(list(found)), whitener(y))
 
 
 def test_the_filter_is_the_sum_over_lags_and_means_written_out():

@@ -20,6 +20,7 @@ is left out.
 """
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -125,6 +126,13 @@ class Sums:
 def innovations(space: StateSpace, columns: Array) -> Filtered:
     """Filter columns (N, C, m), such as errors of all channels."""
     return _Filter(space, columns.shape[2])(0, columns)
+
+
+def in_blocks(space: StateSpace, columns: Array, blocks: Iterable[slice]) -> Iterator[Array]:
+    """The innovations of columns (N, C, m), (len, C, m) of each block of samples, one after another from the first on."""
+    filters = _Filter(space, columns.shape[2])
+    for rows in blocks:
+        yield filters(rows.start, columns[rows]).white
 
 
 def read(space: StateSpace, error: Array) -> Read:
@@ -547,6 +555,7 @@ __all__: list[Any] = [
     "StateSpace",
     "Sums",
     "disturbances",
+    "in_blocks",
     "innovations",
     "read",
     "share_that_remains",

@@ -9,14 +9,14 @@ The correction for leverage of a block is that of MacKinnon and White (1985), do
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.innovations import innovations, read
+from motorlens_physics.estimate.innovations import in_blocks, innovations, read
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.weighed import BLOCKS
@@ -30,6 +30,8 @@ from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
 
+# Makes columns (N, C, m) white: (len, C, m) of each of some blocks of samples, which follow each other from the first on.
+White = Callable[[Array, Iterable[slice]], Iterator[Array]]
 # Columns filtered at once, so that memory stays small on long recordings.
 CHUNK = 48
 # Shapes tested at once, likewise.
@@ -240,8 +242,8 @@ class Lens:
     rests: Sequence[Array] | None = None
     plain: bool = False
 
-    def white(self, line: Line) -> tuple[Callable[[Array], Array], Array, float]:
-        """What makes columns (N, C, m) of a run white, its errors (N, C) as read, and the colour taken out, see `Ledger`."""
+    def white(self, line: Line) -> tuple[White, Array, float]:
+        """What makes columns of a run white, its errors (N, C) as read, and the colour taken out, see `Ledger`."""
         rest = line.error if self.rests is None else self.rests[line.r]
         seen = read(self.noises[line.r].space(line.run, line.linear, line.run.there), rest)
         whitener, colour = white_noise(np.ones(line.error.shape[1])), 0.0
@@ -250,7 +252,11 @@ class Lens:
             whitener = coloured(line.run, left, len(line.keys))
             colour = gain_of(line.run, left, whitener, self.noises[line.r])
         error = line.error + (seen.error - rest)
-        return lambda columns: whitener(innovations(seen.space, columns).white), error, colour
+
+        def white(columns: Array, blocks: Iterable[slice]) -> Iterator[Array]:
+            return whitener.in_blocks(in_blocks(seen.space, columns, blocks))
+
+        return white, error, colour
 
 
 def ledger(lines: Sequence[Line], lens: Lens, prior: Prior, hypotheses: Sequence[Hypothesis]) -> Ledger:
@@ -314,7 +320,9 @@ def _sums(
         white, error, colour = lens.white(line)
         wide = np.zeros((*error.shape, len(keys) + 1))
         table = np.concatenate([line.own * unit, error[:, :, None]], axis=2)
-        wide[:, :, [*(list(keys).index(key) for key in line.keys), len(keys)]] = white(table)
+        known = [*(list(keys).index(key) for key in line.keys), len(keys)]
+        for rows, filtered in zip(blocks, white(table, blocks), strict=True):
+            wide[rows, :, known] = filtered
         filters.append((white, wide))
         made.append(_Sums(np.array([_products(wide[rows], wide[rows]) for rows in blocks]), [], colour))
     for chunk in _chunks(shapes):
@@ -322,10 +330,13 @@ def _sums(
         edges = np.cumsum([0, *(shape.width for shape in chunk)])
         own = [slice(first, last) for first, last in itertools.pairwise(edges)]
         for (white, wide), sums in zip(filters, made, strict=True):
-            filtered = white(columns)
-            cross = np.array([_products(wide[rows], filtered[rows]) for rows in blocks])
-            inner = np.array([_products(filtered[rows], filtered[rows]) for rows in blocks])
-            sums.of_shapes.extend((cross[:, :, at], inner[:, at, at]) for at in own)
+            # A block at a time stays near the processor.
+            cross, inner = [], []
+            for rows, filtered in zip(blocks, white(columns, blocks), strict=True):
+                cross.append(_products(wide[rows], filtered))
+                inner.append([_products(z, z) for z in (filtered[:, :, at] for at in own)])
+            across, within = np.array(cross), list(zip(*inner, strict=True))
+            sums.of_shapes.extend((across[:, :, at], np.array(z)) for at, z in zip(own, within, strict=True))
     return made
 
 
@@ -336,7 +347,8 @@ def common(lines: Sequence[Line], noises: Sequence[Noise], prior: Prior, shapes:
     for line in lines:
         unit = np.array([prior.sd[key] for key in line.keys])
         columns = [line.own * unit, *(shape.columns(line) for shape in shapes)]
-        white = Lens(noises).white(line)[0](np.concatenate(columns, axis=2))
+        everything = np.concatenate(columns, axis=2)
+        (white,) = Lens(noises).white(line)[0](everything, [slice(0, len(everything))])
         at = [*(keys.index(key) for key in line.keys), *range(len(keys), len(keys) + width)]
         total[np.ix_(at, at)] += _products(white, white)
     return total

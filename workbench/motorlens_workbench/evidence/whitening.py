@@ -46,16 +46,20 @@ class Whitener:
     def __call__(self, y: Array) -> Array:
         """Whiten (N, C) or (N, C, m): prediction errors in units of sigma; the first `order` rows are 0."""
         columns = y[:, :, None] if y.ndim == 2 else y
-        white = next(self.pieces(columns, [slice(0, len(columns))]))
+        (white,) = self.in_blocks([columns])
         return white[:, :, 0] if y.ndim == 2 else white
 
-    def pieces(self, y: Array, rows: Iterable[slice]) -> Iterator[Array]:
-        """Whiten (N, C, m) piece by piece, (len, C, m) each; the pieces follow each other from the first row on."""
-        past = np.zeros((len(self.memories), *y.shape[1:]))
+    def in_blocks(self, blocks: Iterable[Array]) -> Iterator[Array]:
+        """Whiten (N, C, m), given and returned in blocks (len, C, m) that follow each other from the first row on."""
         keep = np.exp(-1 / np.array(self.memories, dtype=np.float64))
-        for piece in rows:
-            white = np.empty((piece.stop - piece.start, *y.shape[1:]))
-            _whiten(y, piece.start, self.coefficients, self.sigma, keep, self.memory, past, white)
+        past = y = np.zeros((0, 0, 0))
+        for block in blocks:
+            if not y.size:
+                past, y = np.zeros((len(keep), *block.shape[1:])), block[:0]
+            before = min(len(y), self.order)
+            y = np.concatenate([y[len(y) - before :], block])
+            white = np.empty(block.shape)
+            _whiten(y, before, self.coefficients, self.sigma, keep, self.memory, past, white)
             yield white
 
 
