@@ -1,0 +1,37 @@
+"""The colour that is left in innovations: of what is noise, and of what lies between two levels of a converter."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motorlens_physics.estimate.noise import first_noise
+from motorlens_physics.estimate.run import prepare
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import Recording
+from motorlens_workbench.evidence.colour import gain_of
+from motorlens_workbench.evidence.whitening import fit_whitener
+
+MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+ROWS, NOISE, REMAINS = 2000, 0.1, 0.8
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05, 0.8])
+def test_what_lies_between_two_levels_is_no_colour_of_the_noise(step: float) -> None:
+    """Innovations of a speed that are correlated, and smaller than the noise says."""
+    rng = np.random.default_rng(9)
+    white, slow = rng.standard_normal((2, ROWS))
+    for k in range(1, ROWS):
+        slow[k] = REMAINS * slow[k - 1] + np.sqrt(1 - REMAINS**2) * slow[k]
+    time = np.arange(ROWS) * 0.01
+    channels = {"voltage": np.sign(np.sin(time)), "current": white, "speed": slow}
+    run = prepare(Recording("coarse.csv", time, channels), read_motor_file(MOTOR))
+    run = replace(run, steps=np.array([0.0, step]))
+    noise = first_noise(run, np.full((ROWS, 2), NOISE), 1.0)
+    left = np.column_stack([white, 0.7 * slow])
+    won = gain_of(run, left, fit_whitener(left, np.ones(ROWS, bool), np.zeros(2)), noise)
+    # An autoregression leaves 1 - REMAINS^2 of its power: that is worth ROWS times the logarithm of that. White noise is worth a
+    # few.
+    expected = -ROWS * np.log(1 - REMAINS**2)
+    assert won < 30 if step > NOISE * np.sqrt(12) else won == pytest.approx(expected, rel=0.2)
