@@ -31,7 +31,7 @@ def test_what_lies_between_two_levels_is_no_colour_of_the_noise(step: float) -> 
     noise = first_noise(run, np.full((ROWS, 2), NOISE), 1.0)
     left = np.column_stack([white, 0.7 * slow])
     won = gain_of(run, left, fit_whitener(left, np.ones(ROWS, bool), np.zeros(2)), noise)
-    # An autoregression leaves 1 - REMAINS^2 of its power: that is worth ROWS times the logarithm of that. White noise is worth
+    # An autoregression leaves 1 - REMAINS^2 of its power, worth ROWS times the logarithm of that; white noise is worth
     # a few.
     expected = -ROWS * np.log(1 - REMAINS**2)
     assert won < 30 if step > NOISE * np.sqrt(12) else won == pytest.approx(expected, rel=0.2)
