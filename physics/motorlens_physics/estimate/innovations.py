@@ -41,8 +41,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 # Information of a reading, as a share of that of its truth, below which it tells nothing; deviations from which on a tail is
 # taken as its asymptote.
 TELLS_NOTHING, TAIL = 1e-12, 25.0
-
-
+# What a filter that reads nothing writes.
 NOTHING = np.zeros((0, 0))
 
 
