@@ -6,7 +6,7 @@ Worlds of the hidden-effect simulator (another plant, other code), small recordi
 excitation and channels drawn as in the blind benchmark. Printed are the quantiles of the weight of the heaviest hypothesis
 with a name, as it was fitted in full, and without one, over the weight that is needed, and the largest by factor; and of the
 error over the noise, and of the likelihood that colour left in the noise wins.
-The file is appended to, and a world that is in it is not computed again. Some 4 s of processor time a world.
+The file is appended to, and a world that is in it is not computed again. Some 6 s of processor time a world.
 """
 
 import argparse
@@ -26,6 +26,7 @@ HERE = Path(__file__).resolve().parent
 sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve() != HERE)]
 
 from helpers.hidden import Case, draw, generate  # noqa: E402
+from helpers.hidden.score import Rate  # noqa: E402
 
 from motorlens_physics.motor_file import read_motor_file  # noqa: E402
 from motorlens_physics.recording import read_recording  # noqa: E402
@@ -93,6 +94,7 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
         yield f"{word:>20s} {told}"
     verdicts = Counter(row["verdict"] for row in rows)
     yield "verdicts: " + ", ".join(f"{word} {count}" for word, count in verdicts.most_common())
+    yield f"something said to be missing: {Rate(len(rows) - verdicts['adequate'], len(rows))}"
     for factor in ("noise", "excitation", "channels", "records"):
         for value in sorted({row[factor] for row in rows}):
             mine = [row for row in rows if row[factor] == value]
@@ -117,6 +119,7 @@ def main() -> int:
     args = parser.parse_args()
     rows = [json.loads(line) for line in args.output.read_text().splitlines()] if args.output.exists() else []
     done = {row["id"] for row in rows}
+    args.output.parent.mkdir(parents=True, exist_ok=True)
     for case in worlds(args.count, args.seed):
         if case.id in done:
             continue
