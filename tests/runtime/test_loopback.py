@@ -9,6 +9,7 @@ import subprocess
 import textwrap
 import threading
 import time
+from collections import deque
 from pathlib import Path
 
 import pytest
@@ -259,6 +260,24 @@ def test_a_request_that_has_come_is_answered_however_late_it_is_looked_at(name, 
     for line in lines:
         line.close()
     server.close()
+
+
+def test_a_connection_that_is_answered_while_the_server_ends_is_hung_up_on(server):
+    """Its thread has written the answer, and hands the connection back when nobody waits for requests any more."""
+    pages = server._connections
+
+    class Late(deque):
+        def append(self, connection):
+            eventually(lambda: not pages._thread.is_alive(), "the end of the server")
+            super().append(connection)
+
+    pages._answered = Late()
+    line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=LIMIT_S)
+    line.request("GET", "/", headers=bearer(server))
+    assert line.getresponse().read() == b"GET /"
+    server.close()
+    assert line.sock.recv(1) == b""
+    line.close()
 
 
 def test_a_connection_takes_several_requests_in_any_portions(server):

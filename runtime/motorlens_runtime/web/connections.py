@@ -118,7 +118,7 @@ class Connections:
         self._waiting: dict[socket.socket, _Wait] = {}
         self._answered: deque[Connection] = deque()
         self._served: set[Connection] = set()
-        self._closed = False
+        self._closed = self._ended = False
         self._pool = ThreadPoolExecutor(MOST_SERVED, "pages")
         self._thread = threading.Thread(target=self._work, name="pages", daemon=True)
         self._thread.start()
@@ -154,6 +154,9 @@ class Connections:
                 self._give_up(wait.connection)
         for wait in list(self._waiting.values()):
             self._drop(wait.connection)
+        self._ended = True
+        while self._answered:
+            self._answered.popleft().close()
         for connection in list(self._served):  # whoever reads or writes there is woken by it
             with suppress(OSError):
                 connection.line.shutdown(socket.SHUT_RDWR)
@@ -209,10 +212,10 @@ class Connections:
         with suppress(OSError):  # a browser that went away is no concern of ours
             stays = self._serve(connection)
         self._served.discard(connection)
-        if stays and not self._closed:
+        if stays:
             self._answered.append(connection)
             self._ring()
-        else:
+        if self._ended or not stays:  # nobody is left who takes up what has been answered
             connection.close()
 
     def _leave(self, connection: Connection) -> None:
