@@ -85,5 +85,18 @@ def test_nobody_is_shut_out(browser, page_file, scheme, width):
         assert page.evaluate("document.documentElement.scrollWidth") == width
 
 
+def test_whose_row_it_is_stays_in_view(browser, page_file):
+    with opened(browser, page_file.as_uri()) as page:
+        table = page.locator("section", has=page.get_by_role("heading", name="All motors")).locator(".scroll")
+        first, second = (table.locator(f"tbody tr:first-child td:nth-child({k})") for k in (1, 2))
+        table.evaluate("node => { node.style.width = '20rem'; }")  # this fleet's has few parameters
+        before = first.bounding_box()["x"], second.bounding_box()["x"]
+        table.evaluate("node => { node.scrollLeft = 60; }")
+        after = first.bounding_box()["x"], second.bounding_box()["x"]
+        assert after[0] == pytest.approx(before[0], abs=1) and after[1] == pytest.approx(
+            before[1] - 60, abs=1
+        )
+
+
 def test_it_is_small_enough_to_send(page_file):
     assert page_file.stat().st_size <= 1_500_000

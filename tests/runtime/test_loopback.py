@@ -9,6 +9,7 @@ import subprocess
 import textwrap
 import threading
 import time
+from collections import deque
 from pathlib import Path
 
 import pytest
@@ -220,6 +221,63 @@ def test_whoever_has_waited_longest_makes_room(monkeypatch):
     server.close()
     for line in lines:
         line.close()
+
+
+def test_no_crowd_of_strangers_costs_a_page_its_connection(monkeypatch):
+    monkeypatch.setattr(connections, "MOST_WAITING", 3)
+    server = LoopbackServer(lambda request: Answer(b"there"))
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", server.port, timeout=LIMIT_S)) as page:
+        page.request("GET", "/", headers=bearer(server))
+        assert page.getresponse().read() == b"there"
+        strangers = [socket.create_connection(("127.0.0.1", server.port), timeout=LIMIT_S) for _ in range(5)]
+        assert [line.recv(1) for line in strangers[:2]] == [b"", b""]
+        page.request("GET", "/", headers=bearer(server))
+        assert page.getresponse().read() == b"there"
+        for line in strangers:
+            line.close()
+    server.close()
+
+
+@pytest.mark.parametrize(("name", "value"), [("HEAD_S", 0.0), ("MOST_WAITING", 1)])
+def test_a_request_that_has_come_is_answered_however_late_it_is_looked_at(name, value, monkeypatch):
+    """A busy server may look at a request only when its time is over, or when another connection needs its place."""
+    monkeypatch.setattr(connections, name, value)
+    sent, accept = threading.Event(), connections.Connections._accept
+
+    def late(self):
+        assert sent.wait(LIMIT_S)
+        accept(self)
+
+    monkeypatch.setattr(connections.Connections, "_accept", late)
+    server = LoopbackServer(lambda request: Answer(b"there"))
+    lines = []
+    for _ in range(3):
+        line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=LIMIT_S)
+        line.request("GET", "/", headers=bearer(server))
+        lines.append(line)
+    sent.set()
+    assert [line.getresponse().read() for line in lines] == [b"there"] * 3
+    for line in lines:
+        line.close()
+    server.close()
+
+
+def test_a_connection_that_is_answered_while_the_server_ends_is_hung_up_on(server):
+    """Its thread has written the answer, and hands the connection back when nobody waits for requests any more."""
+    pages = server._connections
+
+    class Late(deque):
+        def append(self, connection):
+            eventually(lambda: not pages._thread.is_alive(), "the end of the server")
+            super().append(connection)
+
+    pages._answered = Late()
+    line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=LIMIT_S)
+    line.request("GET", "/", headers=bearer(server))
+    assert line.getresponse().read() == b"GET /"
+    server.close()
+    assert line.sock.recv(1) == b""
+    line.close()
 
 
 def test_a_connection_takes_several_requests_in_any_portions(server):

@@ -225,6 +225,20 @@ def test_a_limit_is_set_drawn_told_with_its_unit_and_taken_away(browser, page):
         eventually(lambda: tab.inner_text("#limits") == "" and tab.inner_text("#alarms") == "", "no limit")
 
 
+def test_limits_given_at_the_start_are_listed_and_stay(browser, page):
+    page.publish(rows(0, 5))
+    given = {"column": 1, "heading": "temperature_rise_K", "side": 1, "limit": 90.0}
+    page.counts({"limits": [{"name": "temperature > 90", **given}, {"name": "hot", **given}]})
+    with opened(browser, page.url) as tab:
+        items = eventually(lambda: tab.locator("#limits li").all_inner_texts(), "the limits")
+        assert items == [
+            "temperature > 90 K, given at the start",
+            "hot: temperature > 90 K, given at the start",
+        ]
+        assert tab.locator("#limits button").count() == 0
+        assert serious(tab) == []
+
+
 def test_recorded_exported_and_played_back_it_is_the_same(browser, page, tmp_path):
     page.publish(rows(0, 5))
     with opened(browser, page.url, accept_downloads=True) as tab:

@@ -137,7 +137,7 @@ function tell(live) {
     return `${clock(event.at)}  ${on}${event.message}`;
   }));
   count(live, dead);
-  limits(live.limits.filter(limit => limit.own));
+  limits(live.limits);
   const recording = live.recording;
   $("record").setAttribute("aria-pressed", recording.on);
   put($("record"), recording.on ? `Stop recording (${recording.rows} rows)` : "Record");
@@ -187,13 +187,18 @@ function count(live, dead) {
   rows.forEach((row, k) => fill(body.rows[k] || body.insertRow(), "td", row));
 }
 
-function limits(own) {
-  const list = $("limits");
-  if (list.dataset.names === own.map(limit => limit.name).join("\n")) return;
-  list.dataset.names = own.map(limit => limit.name).join("\n");
+// What is watched: those set on a page, which a page may take away, and those of whoever started the runtime.
+function limits(all) {
+  const list = $("limits"), names = all.map(limit => `${limit.own ? "own " : ""}${limit.name}`).join("\n");
+  if (list.dataset.names === names) return;
+  list.dataset.names = names;
   list.replaceChildren();
-  own.forEach(limit => {
-    const item = make("li", "", list), button = (make("span", `${limit.name} ${about.outputs[limit.column].unit}`, item), make("button", "Remove", item));
+  all.forEach(limit => {
+    const output = about.outputs[limit.column], bound = `${output.name} ${limit.side > 0 ? ">" : "<"} ${limit.limit}`;
+    const item = make("li", "", list), plain = limit.name === bound ? "" : `${limit.name}: `;
+    make("span", `${plain}${bound} ${output.unit}${limit.own ? "" : ", given at the start"}`, item);
+    if (!limit.own) return;
+    const button = make("button", "Remove", item);
     button.setAttribute("aria-label", `Remove the limit ${limit.name}`);
     button.onclick = () => send("/limit", {motor, remove: limit.name});
   });

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 # Requests answered at once; further ones wait in a queue.
 MOST_SERVED = 64
-# Connections held without a request, below the usual limit of 1024 open files; beyond, whoever has waited longest is closed.
+# Connections held without a request, below the usual limit of 1024 open files; beyond, one is closed: of those that have
+# never been let in the one that has waited longest, for a crowd of them must not cost a page its connection.
 MOST_WAITING = 512
 # Connections that the kernel holds until they are accepted.
 BACKLOG = 128
@@ -31,13 +32,14 @@ _HEAD_END = b"\r\n\r\n"
 class Connection:
     """One connection whose next request is complete as far as its head; `octets` is what has come and is not used yet.
 
-    `user` is whose program is at the other end, for who finds out.
+    `user` is whose program is at the other end, for who finds out; `let_in` whether any request of it has been.
     """
 
     def __init__(self, line: socket.socket) -> None:
         self.line = line
         self.octets = b""
         self.user: int | None = None
+        self.let_in = False
 
     def readline(self, most: int = -1) -> bytes:
         """A line of what has come, its end included."""
@@ -116,7 +118,7 @@ class Connections:
         self._waiting: dict[socket.socket, _Wait] = {}
         self._answered: deque[Connection] = deque()
         self._served: set[Connection] = set()
-        self._closed = False
+        self._closed = self._ended = False
         self._pool = ThreadPoolExecutor(MOST_SERVED, "pages")
         self._thread = threading.Thread(target=self._work, name="pages", daemon=True)
         self._thread.start()
@@ -149,9 +151,12 @@ class Connections:
                 self._wait_for(self._answered.popleft())
             now_s = time.monotonic()
             for wait in [wait for wait in self._waiting.values() if wait.deadline_s <= now_s]:
-                self._drop(wait.connection)
+                self._give_up(wait.connection)
         for wait in list(self._waiting.values()):
             self._drop(wait.connection)
+        self._ended = True
+        while self._answered:
+            self._answered.popleft().close()
         for connection in list(self._served):  # whoever reads or writes there is woken by it
             with suppress(OSError):
                 connection.line.shutdown(socket.SHUT_RDWR)
@@ -173,7 +178,8 @@ class Connections:
             self._hand_over(connection)
             return
         if len(self._waiting) >= MOST_WAITING:
-            self._drop(next(iter(self._waiting.values())).connection)
+            waiting = [wait.connection for wait in self._waiting.values()]
+            self._give_up(next((one for one in waiting if not one.let_in), waiting[0]))
         connection.line.setblocking(False)
         self._waiting[connection.line] = _Wait(connection, time.monotonic() + HEAD_S)
         self._selector.register(connection.line, selectors.EVENT_READ)
@@ -206,15 +212,21 @@ class Connections:
         with suppress(OSError):  # a browser that went away is no concern of ours
             stays = self._serve(connection)
         self._served.discard(connection)
-        if stays and not self._closed:
+        if stays:
             self._answered.append(connection)
             self._ring()
-        else:
+        if self._ended or not stays:  # nobody is left who takes up what has been answered
             connection.close()
 
     def _leave(self, connection: Connection) -> None:
         self._selector.unregister(connection.line)
         del self._waiting[connection.line]
+
+    def _give_up(self, connection: Connection) -> None:
+        """Close it, unless its request has come since anybody looked."""
+        self._receive(connection.line)
+        if connection.line in self._waiting:
+            self._drop(connection)
 
     def _drop(self, connection: Connection) -> None:
         self._leave(connection)

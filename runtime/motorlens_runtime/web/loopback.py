@@ -241,6 +241,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             self._send(answer)
             return
+        connection.let_in = True
         body = connection.read(octets)
         if len(body) < octets:
             self.close_connection = True

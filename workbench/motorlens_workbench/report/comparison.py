@@ -272,7 +272,7 @@ def _map(found: Comparison) -> Grid:
             Cell(at[0], at[1], r.rms_in_sigma, f"{where}: {r.samples} samples", Samples(where, r.within))
         )
     return Grid(
-        "speed, rad/s", "current, A", [_range(span) for span in spans["speed"]],
+        "speed, rad/s (to the right)", "current, A (upwards)", [_range(span) for span in spans["speed"]],
         [_range(span) for span in spans["current"]], cells, BORDERS,
         "Error in each cell of the operating range, in multiples of the noise floor:",
         "A cell with few samples is left empty. A click on a cell marks its samples in the plots above.",

@@ -199,8 +199,9 @@ def _alike(found: Finding, document: dict[str, Any]) -> Grid:
     shown = [name.replace("_", " ") for name in names]
     numbers = [str(k + 1) for k in range(len(names))]
     return Grid(
-        "candidate by number", "candidate", numbers, [f"{k + 1} {name}" for k, name in enumerate(shown)][::-1], cells,
-        BORDERS, "Squared correlation after the base parameters have taken their share:",
+        "the same by their numbers (to the right)", "candidates (downwards)", numbers,
+        [f"{k + 1} {name}" for k, name in enumerate(shown)][::-1], cells, BORDERS,
+        "Squared correlation after the base parameters have taken their share:",
         "1: these recordings cannot tell the two apart.",
     )  # fmt: skip
 

@@ -178,8 +178,9 @@ def _table(item: Table) -> str:
 
 
 def _holds_words(cells: Sequence[Any]) -> bool:
-    """Whether a column reads as text: nothing in it is a number, or begins with one."""
-    return bool(cells) and all(isinstance(cell, str) and cell[:1].isalpha() for cell in cells)
+    """Whether a column reads as text: nothing in it is a number, or begins with one; a cell may be empty."""
+    there = [cell for cell in cells if cell != ""]
+    return bool(there) and all(isinstance(cell, str) and cell[:1].isalpha() for cell in there)
 
 
 def _bars(item: Bars) -> str:
@@ -222,7 +223,7 @@ def _grid(item: Grid) -> str:
     steps = ["below " + significant(item.borders[0])]
     steps += [f"from {significant(border)}" for border in item.borders]
     bar = "".join(f'<li class="heat-{k}">{_text(step)}</li>' for k, step in enumerate(steps))
-    caption = f"<span>{_text(item.y)} (upwards), {_text(item.x)} (to the right)</span>"
+    caption = f"<span>{_text(item.y)}, {_text(item.x)}</span>"
     return (
         f'<div class="scroll" tabindex="0" role="group" aria-label="map"><table class="grid"><caption>{caption}</caption>'
         f"<tbody>{''.join(rows)}</tbody><tfoot><tr><td></td>{feet}</tr></tfoot></table></div>"

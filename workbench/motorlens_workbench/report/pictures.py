@@ -101,7 +101,7 @@ class Grid:
     """A map in colours with its numbers.
 
     Attributes:
-        x, y: labels of the axes.
+        x, y: labels of the axes, with the way in which they run.
         columns, rows: names along them, rows from the bottom.
         cells: those that hold something.
         borders: (8,) values at which the next of nine colours begins; the last is what is worst, or most.

@@ -47,6 +47,7 @@ async function start() {
     found.effects.forEach(effect => catalogue.set(effect.name, effect));
     $("effects").replaceChildren(...found.effects.map(effect => new Option(effect.summary, effect.name)));
     explain();
+    equations($("diagnose-result"));
   }).catch(() => {});
   for (;;) {
     try {
@@ -225,7 +226,7 @@ function showSteps() {
   $("script").hidden = !steps.some(step => step.state === "done" && step.kind !== "look");
   $("steps").replaceChildren(...steps.map(step => {
     const item = put("li", null, null, step.state);
-    put("div", item, step.state === "running" ? "under way" : `${step.sentence} (${step.seconds.toFixed(1)} s)`);
+    put("div", item, step.state === "running" ? "under way" : `${typeset(step.sentence)} (${step.seconds.toFixed(1)} s)`);
     command(step.command, item);
     return item;
   }));

@@ -7,6 +7,11 @@ function words(name) {
   return name.replaceAll("_", " ");
 }
 
+// What a command has said, as it is printed in a book.
+function typeset(text) {
+  return text.replaceAll("+-", "±");
+}
+
 // Draws a step into its place once; one that could not be fetched is fetched again when the server answers.
 async function once(parent, step, draw) {
   const number = String(step.number);
@@ -50,8 +55,8 @@ async function draw(name, parent, last, good, also) {
 }
 
 function head(step, parent) {
-  put("p", parent, step.sentence, step.state === "done" ? "verdict" : "failed");
-  step.notes.forEach(note => put("p", parent, note, "note"));
+  put("p", parent, typeset(step.sentence), step.state === "done" ? "verdict" : "failed");
+  step.notes.forEach(note => put("p", parent, typeset(note), "note"));
   command(step.command, parent);
   if (step.state !== "done") return;
   const row = put("p", parent, null, "row");
@@ -103,23 +108,29 @@ function ranges(list, step) {
   return list.filter(text => ["", ...step.recordings, ...step.judge].includes(rangeParts(text)[0]));
 }
 
-// Beside each candidate: its equation, and the way to add it.
+// Under each candidate's name, where no table is too wide to show it: the way to add it, unless a note says why not.
 function candidates(step, box) {
   for (const row of box.querySelectorAll("tr[data-name]")) {
-    const cell = row.cells[row.cells.length - 1], effect = catalogue.get(row.dataset.name);
-    if (effect) {
-      const about = put("details", row.cells[0]);
-      put("summary", about, "equation");
-      effect.equations.forEach(line => put("code", put("div", about), line));
-      put("div", about, effect.summary);
-    }
-    if (cell.textContent.trim()) continue;
-    press(cell, "Add…", `Add ${words(row.dataset.name)}`, () => {
+    const place = put("div", row.cells[0], null, "row");
+    if (!row.cells[row.cells.length - 1].textContent.trim()) press(place, "Add…", `Add ${words(row.dataset.name)}`, () => {
       $("effect").value = row.dataset.name;
       $("effect").dispatchEvent(new Event("input"));
       open_("add");
       $("effect").focus();
     });
+  }
+  equations(box);
+}
+
+// And its equation. The catalogue comes later than what an earlier session has found.
+function equations(box) {
+  for (const place of box.querySelectorAll("tr[data-name] td:first-child > .row")) {
+    const effect = catalogue.get(place.closest("tr").dataset.name);
+    if (!effect || place.querySelector("details")) continue;
+    const about = put("details", place);
+    put("summary", about, "equation");
+    effect.equations.forEach(line => put("code", put("div", about), line));
+    put("div", about, effect.summary);
   }
 }
 
