@@ -220,15 +220,52 @@ class Spreads:
 
 
 def spreads(data: Data) -> Spreads:
-    """Estimate the spreads; leave out those that do not help, the least helpful first; say which of the others are told."""
-    on = np.ones((2, len(data.known)), dtype=bool)
+    """Estimate the spreads that help; say which of them are told."""
+    allowed = np.ones((2, len(data.known)), dtype=bool)
     if np.count_nonzero(data.belongs) < 2:
-        on[0] = False
+        allowed[0] = False
     if np.all(np.bincount(data.motor) < 2):
-        on[1] = False
-    allowed = on.copy()
+        allowed[1] = False
     model = partial(solve, data)
+    on, at = _helpful(data, model, allowed)
+    told = _told(model, allowed, on, at)
+    sd = _deviations(data, on, at)
+    likely = np.where(
+        told,
+        np.hypot(at, np.nan_to_num(sd)),
+        _reckoned(model, allowed & ~told, at, possible(data.known)),
+    )
+    return Spreads(np.where(told[0], at[0], 0.0), at[1], told, np.where(told, sd, np.nan), likely)
+
+
+def _helpful(data: Data, model: Model, allowed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
+    """(2, k) which spreads help, and where they are likeliest: what does not is left out, the least helpful first.
+
+    Two that do for one another may both be left out at once, or the better one for the worse. So each that was left out is
+    tried again beside those that stay, once; if it helps, another one may be of no use any more.
+    """
+    on, left = allowed, allowed.copy()
     at = _likeliest(model, on, np.where(on, BEGIN, 0.0))
+    while True:
+        on, at = _without_useless(data, model, on, at)
+        best, again = model(*at).evidence + 0.5 * HELPS, None
+        # Of the two of a parameter of which neither stays, that between motors is tried.
+        tried = left & ~on & np.array([np.ones_like(on[0]), on[0] | ~allowed[0]])
+        for row, k in np.argwhere(tried):
+            more = on.copy()
+            more[row, k] = True
+            there = _likeliest(model, more, np.where(more & ~on, BEGIN, at))
+            if (evidence := model(*there).evidence) >= best:
+                best, again = evidence, (row, k, more, there)
+        if again is None:
+            return on, at
+        row, k, on, at = again
+        left[row, k] = False
+
+
+def _without_useless(
+    data: Data, model: Model, on: NDArray[np.bool_], at: Array
+) -> tuple[NDArray[np.bool_], Array]:
     while on.any():
         gains = _gains(data, on, at)
         useless = on & (gains < HELPS)
@@ -238,16 +275,9 @@ def spreads(data: Data) -> Spreads:
             break
         # Several at once where they are of no use at all: removing them does not change the others.
         weakest = useless & ((gains < 0.1) | (gains == gains[useless].min()))
-        on, at[weakest] = on & ~weakest, 0.0
+        on, at = on & ~weakest, np.where(weakest, 0.0, at)
         at = _likeliest(model, on, at)
-    told = _told(model, allowed, on, at)
-    sd = _deviations(data, on, at)
-    likely = np.where(
-        told,
-        np.hypot(at, np.nan_to_num(sd)),
-        _reckoned(model, allowed & ~told, at, possible(data.known)),
-    )
-    return Spreads(np.where(told[0], at[0], 0.0), at[1], told, np.where(told, sd, np.nan), likely)
+    return on, at
 
 
 def possible(known: Array) -> Array:
