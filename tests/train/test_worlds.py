@@ -142,3 +142,12 @@ def test_loud_coloured_coarse_noise_makes_no_winding_colder_or_warmer(watching, 
     found, _, _ = judged(watching, drawn(seed, number))
     assert found.good > 0.8 and found.covered.min() > 0.93
     assert 1.0 < found.largest[1] < largest_K
+
+
+@pytest.mark.fit
+def test_another_motor_that_has_the_file_s_inertia_and_inductance_is_not_taken_for_it(watching):
+    """One that it was confidently wrong in: J/ke^2 and L are the file's within 0.2 %, ke is 1.3 % more, R_a0 1.9 % less."""
+    found, seen, recorded = judged(watching, drawn(730412, 317))
+    assert not found.confidently_wrong and found.good > 0.8 and found.covered.min() > 0.93
+    stated = np.exp(0.5 * seen["log_speed"])[recorded.counted]
+    assert 1.5 < found.rms[0] < 2.5 and 0.5 < np.median(stated) < 8.0

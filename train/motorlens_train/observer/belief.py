@@ -6,7 +6,8 @@ maker's tolerance, and the same of R_a0 and ke, which voltage and current alone 
 its own, at the brushes or of a sensor, is the file's in all else. An estimate b of variance s^2 is N(0, s^2 + slack^2) for
 the one and N(0, s^2 + spread^2) for the other. Inertia and inductance are weighed together, and with how the voltage runs
 between samples (`hold`) as open as it is: at one frequency what one of them does to the voltage cancels another, and each
-alone looks like the file's.
+alone looks like the file's. One motor in some thousands has both by chance: R_a0, as far as a cold start shows it, is
+weighed with them (`cold`).
 
 Until a start or a step has shown which, the intervals hold all three; what is then shown narrows them, or says in the
 quality that another motor is likelier than the file's.
@@ -136,7 +137,7 @@ def unmasked(shown: Shown, common: Mapping[str, Any], hold: Any, information: An
 
 def doubt(
     layout: Layout, known: Mapping[str, Any], common: Mapping[str, Any], hold: Any, memory: Mapping[str, Any],
-    x: Sequence[Any], resistance: Any,
+    x: Sequence[Any], resistance: Any, resistive: Any = 1.0,
 ) -> tuple[Any, dict[str, Any], Any]:  # fmt: skip
     """Logarithm of the odds against the file's motor, by how much the variances of states (by name) grow, and what of the
     temperature's is R_a0's alone.
@@ -149,6 +150,7 @@ def doubt(
         memory: of the observer, by name.
         x: states.
         resistance: of the winding, ohm.
+        resistive: Bayes factor of another motor against the file's from R_a0.
     """
     w, theta = layout.at["w"], layout.at["theta"]
     rated = layout.rated
@@ -163,7 +165,7 @@ def doubt(
     missing = lacking.weight((offset, 0.0), largest)
     prior = layout.settings.others / (1.0 - 2.0 * layout.settings.others)
     # Where J or ke is a state, a motor of its own is what the observer looks for.
-    another = 0.0 if {"J", "ke"} & set(layout.parameters) else exponent(other) * prior
+    another = 0.0 if {"J", "ke"} & set(layout.parameters) else exponent(other) * resistive * prior
     drop = exponent(missing) * prior
     either = another + drop
     others = layout.settings.others
