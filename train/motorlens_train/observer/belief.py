@@ -139,8 +139,8 @@ def doubt(
     layout: Layout, known: Mapping[str, Any], common: Mapping[str, Any], hold: Any, memory: Mapping[str, Any],
     x: Sequence[Any], resistance: Any, resistive: Any = 1.0,
 ) -> tuple[Any, dict[str, Any], Any]:  # fmt: skip
-    """Logarithm of the odds against the file's motor, by how much the variances of states (by name) grow, and what of the
-    temperature's is R_a0's alone.
+    """Logarithm of the odds against the file's motor, by how much the variances of states (by name) grow, and of the
+    resistance (as a temperature's, K^2), and what of the temperature's is R_a0's alone.
 
     Args:
         layout: the observer's.
@@ -165,29 +165,36 @@ def doubt(
     missing = lacking.weight((offset, 0.0), largest)
     prior = layout.settings.others / (1.0 - 2.0 * layout.settings.others)
     # Where J or ke is a state, a motor of its own is what the observer looks for.
-    another = 0.0 if {"J", "ke"} & set(layout.parameters) else exponent(other) * resistive * prior
-    drop = exponent(missing) * prior
+    free = bool({"J", "ke"} & set(layout.parameters))
+    alike = 0.0 if free else exponent(other) * prior
+    another, drop = alike * resistive, exponent(missing) * prior
     either = another + drop
     others = layout.settings.others
     every = 1.0 / (either + 1.0)
-    share = 0.0 if isinstance(another, float) else widened(another * every, others)
+    share = 0.0 if free else widened(another * every, others)
+    # What R_a0 is, the resistance itself is none the better or worse known for.
+    unaware = 0.0 if free else widened(alike / (alike + drop + 1.0), others)
     lost = widened(drop * every, others)
-    grown = {}
+    own, grown = {}, {}
     # Another motor is off by as much as its tolerance, and by what its J and L have done to the states.
-    for state, size in ((w, x[w]), (theta, x[theta] + 1 / layout.motor.alpha)):
-        own = (share * size * TOLERANCE) * (share * size * TOLERANCE)
-        total = own + moved[state] * moved[state] * offset
-        total = total + share * share * motor.remaining(spread, (V[state], W[state]))
+    for name, of, state, size in (
+        ("w", share, w, x[w]), ("theta", share, theta, x[theta] + 1 / layout.motor.alpha),
+        ("resistance", unaware, theta, x[theta] + 1 / layout.motor.alpha),
+    ):  # fmt: skip
+        own[name] = (of * size * TOLERANCE) * (of * size * TOLERANCE)
+        total = own[name] + moved[state] * moved[state] * offset
+        total = total + of * of * motor.remaining(spread, (V[state], W[state]))
         total = total + V[state] * V[state] * slack[0] + W[state] * W[state] * slack[1]
-        grown[layout.states[state]] = total
+        grown[name] = total
     # A drop as large as may remain has moved the states; the speed by all of it, whichever way and whether or not it acts
     # at a current near zero.
     gone = lost * lacking.remaining(largest, (1.0, 0.0)).sqrt()
-    for state, moves in ((w, moved[w].abs().max(1 / layout.motor.ke)), (theta, moved[theta])):
-        name = layout.states[state]
+    for name, moves in (
+        ("w", moved[w].abs().max(1 / layout.motor.ke)), ("theta", moved[theta]), ("resistance", moved[theta])
+    ):  # fmt: skip
         grown[name] = grown[name] + gone * moves * (gone * moves)
     hot = (x[theta] - WARMEST).max(-COLDEST - x[theta])
-    return (0.0 <= hot).select(MOST, either.log()), grown, own
+    return (0.0 <= hot).select(MOST, either.log()), grown, own["theta"]
 
 
 def exponent(logarithm: Any) -> Any:

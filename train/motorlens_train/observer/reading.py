@@ -56,9 +56,8 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
         layout, known, common, window["hold"], memory, x, outputs["resistance"], resistive
     )
     ohms = layout.per_kelvin(x)
-    # Another R_a0 is measured along with all of the resistance: only the temperature that is read off it is another.
     for name, growth in (
-        ("speed", grown["w"]), ("temperature", grown["theta"]), ("resistance", ohms * ohms * (grown["theta"] - own))
+        ("speed", grown["w"]), ("temperature", grown["theta"]), ("resistance", ohms * ohms * grown["resistance"])
     ):  # fmt: skip
         variances[name] = variances[name] + growth
     apart = per_share * unknown
