@@ -58,7 +58,8 @@ hil: .venv/everything
 sensor: .venv/everything
 	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 --hidden 12-8 \
 		-o models/sensors/mellah2016.onnx
-	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 --cycles 20 -o models/sensors/mellah2016_observer.onnx
+	$(BIN)/motorlens train --motor models/motors/mellah2016.toml --seed 1 --cycles 100 \
+		-o models/sensors/mellah2016_observer.onnx
 
 clean:
 	rm -rf .venv out dist build

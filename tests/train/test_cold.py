@@ -10,7 +10,7 @@ from scipy.stats import norm
 from motorlens_physics.motor_file import Knowledge
 from motorlens_train.evaluation.worlds.plant import Constants, run
 from motorlens_train.observer.belief import open_resistance
-from motorlens_train.observer.cold import CERTAIN, COLD, Track, weighed
+from motorlens_train.observer.cold import CERTAIN, COLD, Track, another_likelier, weighed
 from motorlens_train.observer.design import ObserverSettings, observer
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.program import Recorder
@@ -82,6 +82,28 @@ def test_before_anything_has_shown_the_interval_holds_both():
     temperature, sd = mixed(24.0, 36.0)
     assert temperature == pytest.approx(12.0)
     assert sd * 1.96 > 24.0 - temperature + 1.6 * 36.0
+
+
+@pytest.mark.parametrize("measured", [-4.7, -1.0, 0.0, 2.0, 40.0])
+@pytest.mark.parametrize(("ran", "least", "most"), [(0.0, 0.005, 4.2), (1.0, 0.9, 1.1)])
+def test_a_start_that_is_nearly_cold_is_likelier_of_another_resistance(measured, ran, least, most):
+    place, spread, noise = LAYOUT.at["theta"], 14.4, 1.0
+    mean, sd = LAYOUT.start[place], LAYOUT.sd[place]
+    share = 1 / (1 + (noise / sd) ** 2)
+    r = Recorder()
+    ran_or_not = r.input("ran")
+    track = Track([r.constant(0.0)], r.constant(0.0), r.constant(1.0), ran_or_not)
+    theta, variance = r.constant(mean + share * (measured - mean)), r.constant(share * noise**2)
+    found = float(r.program([another_likelier(LAYOUT, track, theta, variance, r.constant(spread))])(ran)[0])
+
+    def density(extra):
+        cold, other = (1 - ran) * COLD, 1 - (1 - ran) * COLD
+        of_any = norm.pdf(measured, mean, np.sqrt(sd**2 + noise**2 + extra))
+        return cold * norm.pdf(measured, 0.0, np.hypot(noise, np.sqrt(extra))) + other * of_any
+
+    # Any start is taken to be evenly likely over that tolerance.
+    assert found == pytest.approx(density(spread**2) / density(0.0), rel=0.1)
+    assert least < found < most
 
 
 def test_what_is_certain_widens_as_the_interval_says():

@@ -245,14 +245,16 @@ def test_nothing_is_learned_at_rest_without_current(watching):
 
 @pytest.mark.fit
 def test_deviation_widens_without_excitation_and_narrows_at_a_step():
-    # Of the filter's own deviation: that the motor is the file's, and its resistance with it, is beyond doubt.
+    # Of the filter's own deviation: that the motor is the file's, and its resistance with it, is beyond doubt, and no cold
+    # start knows better.
     file = replace(MELLAH, knowledge={**MELLAH.knowledge, "R_a0": Knowledge(0.0)})
     doubting = observer(file, replace(SETTINGS, thermal_walk=0.1, others=1e-6))
     n, at = 60_000, 40_000
     rng = np.random.default_rng(1)
     time = np.arange(n) * 0.01
     voltage = np.where(time < 1.0, 0.0, np.where(np.arange(n) < at, 200.0, 120.0))
-    run = simulate(MELLAH.motor, Inputs(time, voltage, np.full(n, 5.0), np.full(n, 20.0), held=True))
+    inputs = Inputs(time, voltage, np.full(n, 5.0), np.full(n, 20.0), held=True)
+    run = simulate(MELLAH.motor, inputs, {"theta": 40.0})
     values, _ = doubting.run(
         np.full(n, 0.01),
         voltage + 0.5 * rng.standard_normal(n),

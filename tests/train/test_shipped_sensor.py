@@ -112,7 +112,7 @@ def test_filters_alone_state_what_noise_and_the_motor_file_leave_open() -> None:
 
 def test_it_is_rebuilt_by_the_command_in_the_makefile() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for name, more in (("mellah2016", "--hidden 12-8"), ("mellah2016_observer", "--cycles 20")):
+    for name, more in (("mellah2016", "--hidden 12-8"), ("mellah2016_observer", "--cycles 100")):
         command = f"motorlens train --motor models/motors/mellah2016.toml --seed 1 {more} -o models/sensors/{name}.onnx"
         assert command in " ".join(makefile.replace("\\\n", " ").split())
 

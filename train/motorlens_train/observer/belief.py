@@ -6,7 +6,8 @@ maker's tolerance, and the same of R_a0 and ke, which voltage and current alone 
 its own, at the brushes or of a sensor, is the file's in all else. An estimate b of variance s^2 is N(0, s^2 + slack^2) for
 the one and N(0, s^2 + spread^2) for the other. Inertia and inductance are weighed together, and with how the voltage runs
 between samples (`hold`) as open as it is: at one frequency what one of them does to the voltage cancels another, and each
-alone looks like the file's.
+alone looks like the file's. One motor in some thousands has both by chance: R_a0, as far as a cold start shows it, is
+weighed with them (`cold`).
 
 Until a start or a step has shown which, the intervals hold all three; what is then shown narrows them, or says in the
 quality that another motor is likelier than the file's.
@@ -136,10 +137,10 @@ def unmasked(shown: Shown, common: Mapping[str, Any], hold: Any, information: An
 
 def doubt(
     layout: Layout, known: Mapping[str, Any], common: Mapping[str, Any], hold: Any, memory: Mapping[str, Any],
-    x: Sequence[Any], resistance: Any,
+    x: Sequence[Any], resistance: Any, resistive: Any = 1.0,
 ) -> tuple[Any, dict[str, Any], Any]:  # fmt: skip
-    """Logarithm of the odds against the file's motor, by how much the variances of states (by name) grow, and what of the
-    temperature's is R_a0's alone.
+    """Logarithm of the odds against the file's motor, by how much the variances of states (by name) grow, and of the
+    resistance (as a temperature's, K^2), and what of the temperature's is R_a0's alone.
 
     Args:
         layout: the observer's.
@@ -149,6 +150,7 @@ def doubt(
         memory: of the observer, by name.
         x: states.
         resistance: of the winding, ohm.
+        resistive: Bayes factor of another motor against the file's from R_a0.
     """
     w, theta = layout.at["w"], layout.at["theta"]
     rated = layout.rated
@@ -163,29 +165,36 @@ def doubt(
     missing = lacking.weight((offset, 0.0), largest)
     prior = layout.settings.others / (1.0 - 2.0 * layout.settings.others)
     # Where J or ke is a state, a motor of its own is what the observer looks for.
-    another = 0.0 if {"J", "ke"} & set(layout.parameters) else exponent(other) * prior
-    drop = exponent(missing) * prior
+    free = bool({"J", "ke"} & set(layout.parameters))
+    alike = 0.0 if free else exponent(other) * prior
+    another, drop = alike * resistive, exponent(missing) * prior
     either = another + drop
     others = layout.settings.others
     every = 1.0 / (either + 1.0)
-    share = 0.0 if isinstance(another, float) else widened(another * every, others)
+    share = 0.0 if free else widened(another * every, others)
+    # What R_a0 is, the resistance itself is none the better or worse known for.
+    unaware = 0.0 if free else widened(alike / (alike + drop + 1.0), others)
     lost = widened(drop * every, others)
-    grown = {}
+    own, grown = {}, {}
     # Another motor is off by as much as its tolerance, and by what its J and L have done to the states.
-    for state, size in ((w, x[w]), (theta, x[theta] + 1 / layout.motor.alpha)):
-        own = (share * size * TOLERANCE) * (share * size * TOLERANCE)
-        total = own + moved[state] * moved[state] * offset
-        total = total + share * share * motor.remaining(spread, (V[state], W[state]))
+    for name, of, state, size in (
+        ("w", share, w, x[w]), ("theta", share, theta, x[theta] + 1 / layout.motor.alpha),
+        ("resistance", unaware, theta, x[theta] + 1 / layout.motor.alpha),
+    ):  # fmt: skip
+        own[name] = (of * size * TOLERANCE) * (of * size * TOLERANCE)
+        total = own[name] + moved[state] * moved[state] * offset
+        total = total + of * of * motor.remaining(spread, (V[state], W[state]))
         total = total + V[state] * V[state] * slack[0] + W[state] * W[state] * slack[1]
-        grown[layout.states[state]] = total
+        grown[name] = total
     # A drop as large as may remain has moved the states; the speed by all of it, whichever way and whether or not it acts
     # at a current near zero.
     gone = lost * lacking.remaining(largest, (1.0, 0.0)).sqrt()
-    for state, moves in ((w, moved[w].abs().max(1 / layout.motor.ke)), (theta, moved[theta])):
-        name = layout.states[state]
+    for name, moves in (
+        ("w", moved[w].abs().max(1 / layout.motor.ke)), ("theta", moved[theta]), ("resistance", moved[theta])
+    ):  # fmt: skip
         grown[name] = grown[name] + gone * moves * (gone * moves)
     hot = (x[theta] - WARMEST).max(-COLDEST - x[theta])
-    return (0.0 <= hot).select(MOST, either.log()), grown, own
+    return (0.0 <= hot).select(MOST, either.log()), grown, own["theta"]
 
 
 def exponent(logarithm: Any) -> Any:

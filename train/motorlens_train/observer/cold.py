@@ -8,7 +8,8 @@ factor (Savage and Dickey; Verdinelli and Wasserman 1995, doi:10.1080/01621459.1
 
 A warm start, or a motor that ran before the sensor did, is shown by the first inrush, and the filter stands alone. Its only
 thermometer is then the resistance, and 1 % of R_a0 passes for 2.5 K: the temperature, and nothing else, is as unsure as the
-motor file is of R_a0. A cold start, whose resistance is the file's, needs no such thermometer.
+motor file is of R_a0. A cold start, whose resistance is the file's, needs no such thermometer; one whose resistance is not
+passes for a start from somewhere near ambient temperature, of which few are, and tells that the motor may be another.
 """
 
 from collections.abc import Mapping, Sequence
@@ -104,6 +105,40 @@ class Start:
     thermometer: Any
 
 
+def another_likelier(layout: Layout, track: Track, theta: Any, variance: Any, spread: Any) -> Any:
+    """By how many times what the filter found of the temperature is likelier of a motor whose R_a0 is anywhere within a
+    maker's tolerance than of the file's motor, both started cold or not. Without a cold start that fits, the file's had any
+    other: it is never refuted by this alone.
+
+    Args:
+        layout, track, theta, variance: as for `weighed`.
+        spread: what that tolerance does to the temperature, as one deviation, K.
+    """
+    mean, before, after = _densities(layout, track, variance)
+    apart, own = track.rises[0] - theta, spread * spread
+    away = apart + mean
+    file, other = (_cold(track, _ratio(apart, each, mean, before)) for each in (after, after + own))
+    return (other + exponent(_ratio(away, before + own, away, before))) / (file + 1.0)
+
+
+def _densities(layout: Layout, track: Track, variance: Any, unknown: Any = 0.0) -> tuple[Any, Any, Any]:
+    """Where any start would have led to by now, from the cold one, K; the variance of that, and of the filter's temperature
+    from the cold one, K^2."""
+    place = layout.at["theta"]
+    mean, spread = layout.start[place] * track.left, layout.sd[place] * track.left
+    return mean, spread * spread + track.variance + unknown, variance + track.variance
+
+
+def _ratio(x: Any, variance: Any, y: Any, other: Any) -> Any:
+    """Logarithm of the density N(0, variance) at x over N(0, other) at y."""
+    return ((other / variance).log() + y * y / other - x * x / variance) * 0.5
+
+
+def _cold(track: Track, log_ratio: Any) -> Any:
+    """Odds of a cold start from its Bayes factor: none of a motor that ran."""
+    return exponent(track.ran.select(-MOST, log_ratio)) * (COLD / (1 - COLD))
+
+
 def weighed(
     layout: Layout, track: Track, theta: Any, variance: Any, unknown: Any, other: Any, own: Any, reach: Any
 ) -> Start:  # fmt: skip
@@ -120,13 +155,10 @@ def weighed(
         reach: of a temperature that is read off the resistance, where R_a0 alone is not the file's: a deviation, K, whose
             95 % interval holds as much of its even spread. Takes the place of `own`.
     """
-    place = layout.at["theta"]
+    mean, before, after = _densities(layout, track, variance, unknown)
     apart = track.rises[0] - theta
-    mean, spread = layout.start[place] * track.left, layout.sd[place] * track.left
-    after, before = variance + track.variance, spread * spread + track.variance + unknown
     # Densities of the filter's temperature at the cold one.
-    log_odds = ((before / after).log() + mean * mean / before - apart * apart / after) * 0.5
-    odds = exponent(track.ran.select(-MOST, log_odds)) * (COLD / (1 - COLD))
+    odds = _cold(track, _ratio(apart, after, mean, before))
     warm = 1.0 / (odds + 1.0)
     cold = odds * warm
     moves = cold * apart

@@ -221,13 +221,7 @@ def _advanced(
     error = balance - (window["current"] - window["current_start"]) * motor.L / T
     H = [-slope for slope in slopes]
     # The mean speed, seen from the speed at the end: what drives it reached it halfway.
-    halfway = [0.5 * H[w] * F[w][j] if j != w else 0.0 for j in range(n)]
-    H = [H[j] - halfway[j] for j in range(n)]
-    # An innovation holds the noise of this window's current, and so may the slope that weighs it: their product would cool
-    # the winding without end. Slow states are therefore corrected by what was the slope before (instrumental variables;
-    # Söderström 2007, as in `signals`).
-    _, before = layout.balance(r, middle, found.instrument, V, ambient)
-    instrument = [-before[j] - halfway[j] for j in range(n)]
+    H = [H[j] - (0.5 * H[w] * F[w][j] if j != w else 0.0) for j in range(n)]
     white = (
         found.level
         * (steps * (layout.v_sd**2) + R * R * steps * layout.i_sd**2 + 2 * (motor.L * layout.i_sd) ** 2)
@@ -240,7 +234,6 @@ def _advanced(
         + (sag * (motor.ke * settings.bend_sd)) * (sag * (motor.ke * settings.bend_sd))
     )  # fmt: skip
     PH = [dot(P[j], H) for j in range(n)]
-    PI = [dot(P[j], instrument) for j in range(n)]
     S = dot(H, PH) + noise
     # Had it been known no better than at the start.
     S_fresh = dot(H, [dot(row, H) for row in layout.covariance]) + noise
@@ -250,7 +243,6 @@ def _advanced(
     more = _more(layout, g, error, S, fresh) * starting * believed
     S = S + more * g * g
     PH = [entry + more * g * each for entry, each in zip(PH, f, strict=True)]
-    PI = [entry + more * g * each for entry, each in zip(PI, f, strict=True)]
     for a, b in layout.pairs:
         P[a][b] = P[a][b] + more * f[a] * f[b]
     # Of an unknown load and an unknown resistance a steady voltage shows only what both do to the speed. A current that the
@@ -260,14 +252,12 @@ def _advanced(
     gain = believed / S
     best = [PH[j] * gain for j in range(n)]
     fast, own = (w, load), found.free.max(rests)
-    K = [best[j] if j in fast else PI[j] * gain * own for j in range(n)]
+    K = [best[j] if j in fast else best[j] * own for j in range(n)]
     K[w] = K[w] * moves
     new = [ahead[j] + K[j] * error for j in range(n)]
     for a, b in layout.pairs:
-        if a in fast or b in fast:
-            P[a][b] = P[a][b] - best[a] * PH[b] * (moves if a == b == w else 1.0)
-        else:  # of a gain that is not the best one (Joseph)
-            P[a][b] = P[a][b] - K[a] * PH[b] - (PH[a] - K[a] * S) * K[b]
+        taken = moves if a == b == w else 1.0 if a in fast or b in fast else own * (2.0 - own)
+        P[a][b] = P[a][b] - best[a] * PH[b] * taken
     # A brake gives way at about the torque that it held.
     held = mean * (HOLDS * motor.ke)
     P[load][load] = P[load][load] + 0.5 * walk + rests * (held * held)

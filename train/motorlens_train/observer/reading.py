@@ -3,8 +3,8 @@
 from typing import Any
 
 from motorlens_train.observer.algebra import dot, mixed, probability
-from motorlens_train.observer.belief import HOLD_KNOWN, doubt, open_resistance
-from motorlens_train.observer.cold import CERTAIN, track_of, weighed
+from motorlens_train.observer.belief import HOLD_KNOWN, TOLERANCE, doubt, open_resistance
+from motorlens_train.observer.cold import CERTAIN, another_likelier, track_of, weighed
 from motorlens_train.observer.file import MEMORY, WINDOW
 from motorlens_train.observer.layout import Layout
 from motorlens_train.observer.program import Program, Recorder
@@ -44,21 +44,29 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     behind = (mean - memory["slope"]) * (layout.per_kelvin(x) / layout.motor.ke)
     variances["speed"] = variances["speed"] + behind * behind * P[theta][theta]
     variances["speed"] = variances["speed"] + memory["unseen"] * (9.0 / layout.motor.ke**2)
-    against, grown, own = doubt(layout, known, common, window["hold"], memory, x, outputs["resistance"])
-    ohms = layout.per_kelvin(x)
-    for name, growth in (
-        ("speed", grown["w"]), ("temperature", grown["theta"]), ("resistance", ohms * ohms * grown["theta"])
-    ):  # fmt: skip
-        variances[name] = variances[name] + growth
     # R_a0 that is off by a share moves the temperature by that share of 1/alpha + theta.
     unknown = dict(layout.settings.tolerances).get("R_a0", 0.0)
-    apart = (x[theta] + 1 / layout.motor.alpha) * unknown
+    per_share = x[theta] + 1 / layout.motor.alpha
+    resistive = (
+        1.0
+        if unknown
+        else another_likelier(layout, track, x[theta], P[theta][theta], per_share * (TOLERANCE / 3**0.5))
+    )
+    against, grown, own = doubt(
+        layout, known, common, window["hold"], memory, x, outputs["resistance"], resistive
+    )
+    ohms = layout.per_kelvin(x)
+    for name, growth in (
+        ("speed", grown["w"]), ("temperature", grown["theta"]), ("resistance", ohms * ohms * grown["resistance"])
+    ):  # fmt: skip
+        variances[name] = variances[name] + growth
+    apart = per_share * unknown
     variances["temperature"] = variances["temperature"] + apart * apart
     # A start from ambient temperature, as far as it is borne out; and with the temperature goes what errs along with it.
     filtered = variances["temperature"]
     # As far as the temperature is no longer the first guess, it has been read off the resistance.
     read_off = 1.0 - P[theta][theta] * (1 / layout.sd[theta] ** 2)
-    reach = (x[theta] + 1 / layout.motor.alpha) * read_off * (open_resistance(layout) * CERTAIN)
+    reach = per_share * read_off * (open_resistance(layout) * CERTAIN)
     start = weighed(
         layout, track, x[theta], P[theta][theta] + apart * apart, apart * apart, grown["theta"], own, reach
     )

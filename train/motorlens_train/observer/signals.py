@@ -22,8 +22,12 @@ LEAST = 0.01
 DRIVEN = 0.05
 # A current drives to one side from this share of the rated one on: a brush drop is then as large as it gets.
 SATURATED = 0.02
-# The level of the noise is an average over so many windows, the settings' level at the start worth 8 of them.
-WINDOWS, PRIOR = 42.0, 8.0
+# What lies within so many deviations may be noise.
+MAY_BE_NOISE = 3.0
+# The level of the noise is an average over so many windows, the settings' level at the start worth 2 of them: one window
+# tells the logarithm of a variance to pi/sqrt(2), and two the deviation to a factor of 2.2. A drive whose noise is more than
+# that from the settings' must be found out before its first innovations have moved the winding.
+WINDOWS, PRIOR = 42.0, 2.0
 # The mean of the logarithm of a squared normal deviate is -1.2704 (-ln 2 minus Euler's constant); one window moves the
 # average by at most exp(4), and it stays within a hundredth and a hundred times (in sd) of where it began.
 LOG_SQUARE, MOST_LOG, RANGE = 1.2704, 4.0, 9.2
@@ -52,8 +56,8 @@ class Signals:
         level: variance of white noise, in terms of the settings'.
         colour: factor by which it weighs more, being coloured.
         share: sum of squared steps over the squared length: 1 / samples.
-        slope: mean of the current, A; `weighing` is what of it is beyond its noise and weighs an innovation, `instrument`
-            what was so before this window, whose noise is another's, and a change since that no noise can be.
+        slope: mean of the current, A; `weighing` weighs an innovation: what of it was beyond its noise before this window,
+            and a change since that no noise can be.
         side: the side to which the current drives the rotor, -1 or 1, and less where noise hides it.
         free: share of the current's change that the voltage drives.
         turned: change of the slope that the load made, over ke; see `correction`.
@@ -68,7 +72,6 @@ class Signals:
     share: Any
     slope: Any
     weighing: Any
-    instrument: Any
     side: Any
     free: Any
     turned: Any
@@ -95,19 +98,20 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     slope = memory["slope"] + followed
     # A current that may be noise says nothing about the resistance.
     noise = spread.sqrt()
-    weighing, weighed = (beyond(y, noise * 3.0) for y in (slope, memory["slope"]))
-    # All of the noise that is found may be the current's.
-    most = spread * (1.0 + (layout.v_sd / (m.R_a0 * layout.i_sd)) ** 2)
-    instrument = weighed + above(weighing - weighed, most)
+    now, before = (beyond(y, noise * MAY_BE_NOISE) for y in (slope, memory["slope"]))
+    # An innovation holds the noise of this window's current: with that in the slope as well, their product would heat or
+    # cool the winding without end. The slope before is another window's (instrumental variables; Söderström 2007), and a
+    # change is this one's own where it is beyond all the noise that is found, were it the current's alone. There is but one
+    # slope: gains that are of one and covariances that are of another let loads that change pass for temperatures.
+    most = noise * math.sqrt(1.0 + (layout.v_sd / (m.R_a0 * layout.i_sd)) ** 2)
+    weighing = before + beyond(now - before, most * MAY_BE_NOISE)
     lean = gap.select(0.0, window["sum_lean"] / T)
     coarse, kept = _coarse(layout, window, memory, level)
     kept |= {"drive": memory["drive"] + moved, "driven": driven, "slope": slope}
     colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
-    turned = (1.0 - free) * (weighing - weighed) * (1 / m.ke)
+    turned = (1.0 - free) * (weighing - before) * (1 / m.ke)
     side = (weighing * (1 / (SATURATED * layout.rated.current_A))).max(-1.0).min(1.0)
-    return Signals(
-        level, colour, share, slope, weighing, instrument, side, free, turned, lean, noise, coarse, kept
-    )
+    return Signals(level, colour, share, slope, weighing, side, free, turned, lean, noise, coarse, kept)
 
 
 def noise_memory(memory: Mapping[str, Value], error: Any, told: Any, believed: Any) -> dict[str, Any]:
