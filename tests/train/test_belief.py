@@ -114,7 +114,7 @@ def test_another_motor_that_passes_for_another_hold_is_weighed_as_if_the_hold_ha
 @pytest.mark.parametrize("probability", [0.001, 0.01, 0.04, 0.1, 0.3, 1.0])
 def test_intervals_leave_out_no_more_than_they_say(probability, prior):
     r = Recorder()
-    wider = float(r.program([belief.widened(r.input("p"), prior)])(probability)[0])
+    wider = float(r.program([belief.widened(1.0 / r.input("p"), prior)])(probability)[0])
     # An even spread of half width 1, there with this probability: what lies beyond so many deviations of it.
     beyond = [probability * max(0.0, 1.0 - reach * wider) for reach in (1.96, 4.0)]
     assert beyond[0] <= 0.05 * prior + 1e-12 and beyond[1] <= 0.0005 + 1e-12
@@ -124,7 +124,7 @@ def test_intervals_leave_out_no_more_than_they_say(probability, prior):
 
 def test_what_is_too_unlikely_to_matter_widens_nothing():
     r = Recorder()
-    assert float(r.program([belief.widened(r.input("p"), 0.125)])(0.0004)[0]) == 0.0
+    assert float(r.program([belief.widened(1.0 / r.input("p"), 0.125)])(0.0004)[0]) == 0.0
 
 
 def test_spreads_are_those_of_a_maker_s_tolerance_and_of_the_catalogue():

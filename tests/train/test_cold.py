@@ -84,25 +84,29 @@ def test_before_anything_has_shown_the_interval_holds_both():
     assert sd * 1.96 > 24.0 - temperature + 1.6 * 36.0
 
 
-@pytest.mark.parametrize("measured", [-4.7, -1.0, 0.0, 2.0, 40.0])
-@pytest.mark.parametrize(("ran", "least", "most"), [(0.0, 0.005, 4.2), (1.0, 0.9, 1.1)])
-def test_a_start_that_is_nearly_cold_is_likelier_of_another_resistance(measured, ran, least, most):
-    place, spread, noise = LAYOUT.at["theta"], 14.4, 1.0
+@pytest.mark.parametrize(
+    ("measured", "noise"), [(-4.7, 1.0), (-1.0, 1.0), (0.0, 1.0), (2.0, 1.0), (40.0, 1.0), (5.0, 200.0)]
+)
+@pytest.mark.parametrize(("ran", "least", "most"), [(0.0, 0.005, 3.5), (1.0, 0.9, 1.1)])
+def test_a_start_that_is_nearly_cold_is_likelier_of_another_resistance(measured, noise, ran, least, most):
+    place, within = LAYOUT.at["theta"], 25.0
     mean, sd = LAYOUT.start[place], LAYOUT.sd[place]
     share = 1 / (1 + (noise / sd) ** 2)
     r = Recorder()
     ran_or_not = r.input("ran")
     track = Track([r.constant(0.0)], r.constant(0.0), r.constant(1.0), ran_or_not)
     theta, variance = r.constant(mean + share * (measured - mean)), r.constant(share * noise**2)
-    found = float(r.program([another_likelier(LAYOUT, track, theta, variance, r.constant(spread))])(ran)[0])
+    found = float(r.program([another_likelier(LAYOUT, track, theta, variance, r.constant(within))])(ran)[0])
 
-    def density(extra):
+    def density(resistances):
+        """Of what was measured, the mean over what R_a0 does to the temperature."""
         cold, other = (1 - ran) * COLD, 1 - (1 - ran) * COLD
-        of_any = norm.pdf(measured, mean, np.sqrt(sd**2 + noise**2 + extra))
-        return cold * norm.pdf(measured, 0.0, np.hypot(noise, np.sqrt(extra))) + other * of_any
+        of_any = norm.pdf(measured - resistances, mean, np.hypot(sd, noise))
+        return np.mean(cold * norm.pdf(measured - resistances, 0.0, noise) + other * of_any)
 
     # Any start is taken to be evenly likely over that tolerance.
-    assert found == pytest.approx(density(spread**2) / density(0.0), rel=0.1)
+    another, same = density(np.linspace(-within, within, 5001)), density(np.zeros(1))
+    assert found == pytest.approx(another / same, rel=0.15)
     assert least < found < most
 
 

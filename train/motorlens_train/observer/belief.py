@@ -170,22 +170,18 @@ def doubt(
     another, drop = alike * resistive, exponent(missing) * prior
     either = another + drop
     others = layout.settings.others
-    every = 1.0 / (either + 1.0)
-    share = 0.0 if free else widened(another * every, others)
+    share = 0.0 if free else widened((either + 1.0) / another, others)
     # What R_a0 is, the resistance itself is none the better or worse known for.
-    unaware = 0.0 if free else widened(alike / (alike + drop + 1.0), others)
-    lost = widened(drop * every, others)
-    own, grown = {}, {}
+    unaware = 0.0 if free else widened((alike + drop + 1.0) / alike, others)
+    lost = widened((either + 1.0) / drop, others)
     # Another motor is off by as much as its tolerance, and by what its J and L have done to the states.
-    for name, of, state, size in (
-        ("w", share, w, x[w]), ("theta", share, theta, x[theta] + 1 / layout.motor.alpha),
-        ("resistance", unaware, theta, x[theta] + 1 / layout.motor.alpha),
-    ):  # fmt: skip
-        own[name] = (of * size * TOLERANCE) * (of * size * TOLERANCE)
-        total = own[name] + moved[state] * moved[state] * offset
-        total = total + of * of * motor.remaining(spread, (V[state], W[state]))
-        total = total + V[state] * V[state] * slack[0] + W[state] * W[state] * slack[1]
-        grown[name] = total
+    grown, off_K = {}, (x[theta] + 1 / layout.motor.alpha) * TOLERANCE
+    for state, size in ((w, x[w] * TOLERANCE), (theta, off_K)):
+        either_way = moved[state] * moved[state] * offset
+        either_way = either_way + V[state] * V[state] * slack[0] + W[state] * W[state] * slack[1]
+        off = size * size + motor.remaining(spread, (V[state], W[state]))
+        grown[layout.states[state]] = either_way + share * share * off
+    grown["resistance"] = either_way + unaware * unaware * off
     # A drop as large as may remain has moved the states; the speed by all of it, whichever way and whether or not it acts
     # at a current near zero.
     gone = lost * lacking.remaining(largest, (1.0, 0.0)).sqrt()
@@ -194,7 +190,7 @@ def doubt(
     ):  # fmt: skip
         grown[name] = grown[name] + gone * moves * (gone * moves)
     hot = (x[theta] - WARMEST).max(-COLDEST - x[theta])
-    return (0.0 <= hot).select(MOST, either.log()), grown, own["theta"]
+    return (0.0 <= hot).select(MOST, either.log()), grown, (share * off_K) * (share * off_K)
 
 
 def exponent(logarithm: Any) -> Any:
@@ -202,15 +198,14 @@ def exponent(logarithm: Any) -> Any:
     return logarithm.max(-MOST).min(MOST).exp()
 
 
-def widened(probability: Any, prior: float) -> Any:
+def widened(reciprocal: Any, prior: float) -> Any:
     """Deviation, in terms of half the width of an even spread, by which intervals must be wider that hold with a probability
-    what is so spread.
+    what is so spread; of the probability the `reciprocal`.
 
     Beyond a share x of the half width lies (1 - x) of it: an interval that leaves out q reaches to 1 - q / probability. A
     hypothesis of a `prior` that has become twenty times less likely is refuted.
     """
     widest: Any = 0.0
-    reciprocal = 1.0 / probability
     for left_out, deviations in ((ONE_IN_TWENTY[0] * prior, ONE_IN_TWENTY[1]), HARDLY_ANY):
         widest = ((1.0 - reciprocal * left_out) * (1.0 / deviations)).max(widest)
     return widest

@@ -12,6 +12,7 @@ motor file is of R_a0. A cold start, whose resistance is the file's, needs no su
 passes for a start from somewhere near ambient temperature, of which few are, and tells that the motor may be another.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -105,20 +106,28 @@ class Start:
     thermometer: Any
 
 
-def another_likelier(layout: Layout, track: Track, theta: Any, variance: Any, spread: Any) -> Any:
+def another_likelier(layout: Layout, track: Track, theta: Any, variance: Any, within: Any) -> Any:
     """By how many times what the filter found of the temperature is likelier of a motor whose R_a0 is anywhere within a
-    maker's tolerance than of the file's motor, both started cold or not. Without a cold start that fits, the file's had any
-    other: it is never refuted by this alone.
+    maker's tolerance than of the file's motor, both started cold or not: of any other start it tells nothing. Without a cold
+    start that fits, the file's had such a one: it is never refuted by this alone.
 
     Args:
         layout, track, theta, variance: as for `weighed`.
-        spread: what that tolerance does to the temperature, as one deviation, K.
+        within: what that tolerance does to the temperature, either way, K.
     """
+    place = layout.at["theta"]
     mean, before, after = _densities(layout, track, variance)
-    apart, own = track.rises[0] - theta, spread * spread
-    away = apart + mean
-    file, other = (_cold(track, _ratio(apart, each, mean, before)) for each in (after, after + own))
-    return (other + exponent(_ratio(away, before + own, away, before))) / (file + 1.0)
+    apart = track.rises[0] - theta
+    # An even density, blurred by what is not known, over the one of any start; both at ambient temperature.
+    level = (
+        math.sqrt(math.pi / 2)
+        * math.exp(0.5 * (layout.start[place] / layout.sd[place]) ** 2)
+        * COLD
+        / (1 - COLD)
+    )
+    blurred = (before / (within * within + after * (math.pi / 2))).sqrt() * level
+    other = track.ran.select(0.0, (apart.abs() <= within).select(blurred, 0.0))
+    return (other + 1.0) / (_cold(track, apart, after, mean, before) + 1.0)
 
 
 def _densities(layout: Layout, track: Track, variance: Any, unknown: Any = 0.0) -> tuple[Any, Any, Any]:
@@ -129,14 +138,11 @@ def _densities(layout: Layout, track: Track, variance: Any, unknown: Any = 0.0) 
     return mean, spread * spread + track.variance + unknown, variance + track.variance
 
 
-def _ratio(x: Any, variance: Any, y: Any, other: Any) -> Any:
-    """Logarithm of the density N(0, variance) at x over N(0, other) at y."""
-    return ((other / variance).log() + y * y / other - x * x / variance) * 0.5
-
-
-def _cold(track: Track, log_ratio: Any) -> Any:
-    """Odds of a cold start from its Bayes factor: none of a motor that ran."""
-    return exponent(track.ran.select(-MOST, log_ratio)) * (COLD / (1 - COLD))
+def _cold(track: Track, x: Any, variance: Any, y: Any, other: Any) -> Any:
+    """Odds of a cold start from its Bayes factor, the density N(0, `variance`) at x over N(0, `other`) at y: none of a motor
+    that ran."""
+    logarithm = track.ran.select(-2 * MOST, y * y / other - x * x / variance) * 0.5
+    return (other / variance).sqrt() * exponent(logarithm) * (COLD / (1 - COLD))
 
 
 def weighed(
@@ -158,19 +164,20 @@ def weighed(
     mean, before, after = _densities(layout, track, variance, unknown)
     apart = track.rises[0] - theta
     # Densities of the filter's temperature at the cold one.
-    odds = _cold(track, _ratio(apart, after, mean, before))
-    warm = 1.0 / (odds + 1.0)
+    odds = _cold(track, apart, after, mean, before)
+    every = odds + 1.0
+    warm = 1.0 / every
     cold = odds * warm
     moves = cold * apart
     distance = apart.abs()
     # An interval about the mixture's mean holds each hypothesis as far as its probability asks for.
-    near = (track.variance.sqrt() + warm * distance) * widened(cold, COLD)
+    near = (track.variance.sqrt() + warm * distance) * widened(every / odds, COLD)
     beyond = (variance + other).sqrt() + cold * distance
-    far = beyond * widened(warm, COLD)
+    far = beyond * widened(every, COLD)
     widest = near.max(far) * (1 / CERTAIN)
     # Of a resistance that is not the file's nothing tells but a cold start that shows the file's: until any other start is
     # twenty times less likely than before, the interval holds it.
     left_out = ONE_IN_TWENTY[0] * COLD
     held = (variance + other - own).sqrt() + cold * distance
-    most = widest.max((held + reach) * ((1.0 - (1.0 / warm) * left_out) * (1 / (1 - left_out))))
+    most = widest.max((held + reach) * ((1.0 - every * left_out) * (1 / (1 - left_out))))
     return Start(moves, widest * widest, most * most)

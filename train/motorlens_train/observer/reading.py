@@ -48,9 +48,7 @@ def read(layout: Layout) -> tuple[tuple[str, ...], Program]:
     unknown = dict(layout.settings.tolerances).get("R_a0", 0.0)
     per_share = x[theta] + 1 / layout.motor.alpha
     resistive = (
-        1.0
-        if unknown
-        else another_likelier(layout, track, x[theta], P[theta][theta], per_share * (TOLERANCE / 3**0.5))
+        1.0 if unknown else another_likelier(layout, track, x[theta], P[theta][theta], per_share * TOLERANCE)
     )
     against, grown, own = doubt(
         layout, known, common, window["hold"], memory, x, outputs["resistance"], resistive
