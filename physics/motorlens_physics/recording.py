@@ -40,6 +40,9 @@ Array = NDArray[np.float64]
 REPAIRABLE_SHARE = 0.005
 # No voltage, current, speed, temperature or torque of a motor is larger, in SI; smaller numbers can be computed with.
 BEYOND = 1e12
+# How a note says that a channel is no measurement.
+COMPUTED = "times the voltage in every sample"
+NOTHING = np.zeros(0)
 # What drives a motor must be known at every sample.
 INPUTS = ("voltage", "load_torque", "ambient")
 
@@ -55,12 +58,14 @@ class Recording:
             "shaft" as numbers of `conditions`) to (N,) in the units of `motorlens_runtime.files.columns`; temperatures in
             degC. A missing sample of a measured output is NaN; voltage, load torque and ambient have none.
         notes: what was found and handled while reading, in words.
+        computed: likewise, quantity to what was computed from the voltage: no measurement, but an input where it is imposed.
     """
 
     name: str
     time_s: Array
     channels: Mapping[str, Array]
     notes: tuple[str, ...] = field(default=())
+    computed: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -81,9 +86,10 @@ class Recording:
 
     def part(self, rows: slice) -> "Recording":
         """Some consecutive rows, as a recording."""
-        return replace(
-            self, time_s=self.time_s[rows], channels={q: y[rows] for q, y in self.channels.items()}
+        channels, computed = (
+            {q: y[rows] for q, y in some.items()} for some in (self.channels, self.computed)
         )
+        return replace(self, time_s=self.time_s[rows], channels=channels, computed=computed)
 
 
 def read_recording(
@@ -142,10 +148,20 @@ def under(recording: Recording, terminal: str | None = None, shaft: str | None =
         for quantity, kind, word in (("terminal", Terminal, terminal), ("shaft", Shaft, shaft))
         if word is not None
     }
-    channels = {**recording.channels, **tied}
+    ways = {
+        "current": tied.get("terminal", NOTHING) == Terminal.CURRENT,
+        "speed": tied.get("shaft", NOTHING) == Shaft.TURNED,
+    }
+    imposed = {quantity: y for quantity, y in recording.computed.items() if np.any(ways[quantity])}
+    channels = {**recording.channels, **imposed, **tied}
     before, after = (gaps_and_channels(recording.time_s, shown) for shown in (recording.channels, channels))
     # A suspicion that the words answer is one no more.
-    notes = tuple(note for note in recording.notes if note in after or note not in before)
+    notes = tuple(
+        note
+        for note in recording.notes
+        if (note in after or note not in before)
+        and not (COMPUTED in note and note.startswith(tuple(imposed)))
+    )
     return replace(recording, channels=channels, notes=notes)
 
 
@@ -242,14 +258,16 @@ class _Reader:
         table = self._complete(table)
         if "speed" not in table and "angle" in table:
             table |= self._speed_of_angle(table["time"], table["angle"])
-        table = self._measured(table)
+        table, computed = self._measured(table)
         time = table.pop("time")
         for quantity, kind in (("terminal", Terminal), ("shaft", Shaft)):
             if quantity in table:
                 table[quantity] = codes(kind, table[quantity], f"{self.path}: column {quantity!r}").astype(
                     np.float64
                 )
-        return Recording(self.path.name, time, table, (*self.notes, *gaps_and_channels(time, table)))
+        return Recording(
+            self.path.name, time, table, (*self.notes, *gaps_and_channels(time, table)), computed
+        )
 
     def _row(self, index: int) -> int:
         return index + self.first_row
@@ -370,18 +388,19 @@ class _Reader:
                 self.notes.append(f"{count} rows without a value of {quantity} left out (first: row {row})")
         return {q: y[~lacking] for q, y in table.items()} if lacking.any() else table
 
-    def _measured(self, table: dict[str, Array]) -> dict[str, Array]:
-        """Without a current or a speed that was computed from the voltage: it would tell of its formula, and of no motor."""
-        kept = dict(table)
+    def _measured(self, table: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Without a current or a speed that was computed from the voltage, which would tell of its formula; and these."""
+        kept, computed = dict(table), {}
         for quantity in ("current", "speed"):
             times = computed_from(table[quantity], table["voltage"]) if quantity in table else None
             if times is not None:
-                del kept[quantity]
+                computed[quantity] = kept.pop(quantity)
+                how = "--terminal current" if quantity == "current" else "--shaft turned"
                 self.notes.append(
-                    f"{quantity} is {times:g} times the voltage in every sample: computed from it, or the same column in "
-                    "another unit, and no measurement; it was left out"
+                    f"{quantity} is {times:g} {COMPUTED}: computed from it, or the same column in another unit, and no "
+                    f"measurement; it was left out (if it is what drives the motor: {how})"
                 )
-        return kept
+        return kept, computed
 
     def _speed_of_angle(self, time: Array, angle: Array) -> dict[str, Array]:
         """The speed from a measured angle, without delay: central differences; the angle is continued over its wraps."""

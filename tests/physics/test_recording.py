@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.recordings import FOLDER, REGBOT_LEFT, needs_recordings, regbot
 
-from motorlens_physics.recording import Recording, read_recording, write_recording
+from motorlens_physics.recording import Recording, read_recording, under, write_recording
 from motorlens_runtime.errors import DataError
 
 GOOD = "time_s,voltage_V,current_A\n0,1,2\n0.1,3,4\n0.2,5,6\n"
@@ -174,6 +174,12 @@ def test_a_channel_computed_from_the_voltage_is_no_measurement(tmp_path: Path) -
         recording = read_recording(path)
         assert set(recording.channels) == kept
         assert any("current is 35.15 times the voltage" in note for note in recording.notes) == (not noise)
+        # What a drive was told to impose is an input all the same.
+        driven = under(recording.part(slice(20, 180)), "current")
+        assert set(driven.channels) == {"voltage", "current", "speed", "terminal"}
+        assert driven.channels["current"] == pytest.approx(amps[20:180])
+        assert not any("times the voltage" in note for note in driven.notes)
+        assert set(under(recording, "driven", "turned").channels) == kept | {"terminal", "shaft"}
 
 
 @needs_recordings
