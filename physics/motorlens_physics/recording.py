@@ -42,7 +42,8 @@ REPAIRABLE_SHARE = 0.005
 BEYOND = 1e12
 # How a note says that a channel is no measurement.
 COMPUTED = "times the voltage in every sample"
-NOTHING = np.zeros(0)
+# What imposes an output on the motor: the terminals or the shaft, tied to this.
+IMPOSED_BY = {"current": ("terminal", Terminal.CURRENT), "speed": ("shaft", Shaft.TURNED)}
 # What drives a motor must be known at every sample.
 INPUTS = ("voltage", "load_torque", "ambient")
 
@@ -148,21 +149,30 @@ def under(recording: Recording, terminal: str | None = None, shaft: str | None =
         for quantity, kind, word in (("terminal", Terminal, terminal), ("shaft", Shaft, shaft))
         if word is not None
     }
-    ways = {
-        "current": tied.get("terminal", NOTHING) == Terminal.CURRENT,
-        "speed": tied.get("shaft", NOTHING) == Shaft.TURNED,
-    }
-    imposed = {quantity: y for quantity, y in recording.computed.items() if np.any(ways[quantity])}
-    channels = {**recording.channels, **imposed, **tied}
+    channels = {**recording.channels, **tied}
     before, after = (gaps_and_channels(recording.time_s, shown) for shown in (recording.channels, channels))
     # A suspicion that the words answer is one no more.
-    notes = tuple(
-        note
-        for note in recording.notes
-        if (note in after or note not in before)
-        and not (COMPUTED in note and note.startswith(tuple(imposed)))
+    notes = tuple(note for note in recording.notes if note in after or note not in before)
+    return _with_imposed(replace(recording, channels=channels, notes=notes))
+
+
+def _with_imposed(recording: Recording) -> Recording:
+    """With what its terminals or its shaft impose also where that was computed from the voltage: a drive was told it."""
+    imposed = {
+        quantity: y
+        for quantity, y in recording.computed.items()
+        if np.any(_imposed(recording.channels, quantity))
+    }
+    told = tuple(
+        note for note in recording.notes if not (COMPUTED in note and note.startswith(tuple(imposed)))
     )
-    return replace(recording, channels=channels, notes=notes)
+    return replace(recording, channels={**recording.channels, **imposed}, notes=told)
+
+
+def _imposed(channels: Mapping[str, Array], quantity: str) -> NDArray[np.bool_]:
+    """(N,) where something imposes a quantity on the motor; (0,) if its channels say nothing of it."""
+    end, to = IMPOSED_BY[quantity]
+    return np.asarray(channels.get(end, np.zeros(0)) == to)
 
 
 def inputs_of(
@@ -181,18 +191,15 @@ def inputs_of(
     channels, nothing = recording.channels, np.zeros(len(recording))
     terminal, shaft = channels.get("terminal"), channels.get("shaft")
     imposed = {}
-    for quantity, tied, by, argument in (
-        ("current", terminal, Terminal.CURRENT, "current_A"),
-        ("speed", shaft, Shaft.TURNED, "speed_rad_s"),
-    ):
-        where = None if tied is None else tied == by
-        if where is None or not where.any():
+    for quantity, (_, by) in IMPOSED_BY.items():
+        where = _imposed(channels, quantity)
+        if not where.any():
             continue
         if quantity not in channels:
             raise DataError(
                 f"{recording.name}: {quantity} is imposed ({by.name.lower()}), but was not recorded"
             )
-        imposed[argument] = np.where(where, channels[quantity], 0.0)
+        imposed[canonical_name(quantity)] = np.where(where, channels[quantity], 0.0)
     return Inputs(
         recording.time_s,
         channels["voltage"],
@@ -265,9 +272,8 @@ class _Reader:
                 table[quantity] = codes(kind, table[quantity], f"{self.path}: column {quantity!r}").astype(
                     np.float64
                 )
-        return Recording(
-            self.path.name, time, table, (*self.notes, *gaps_and_channels(time, table)), computed
-        )
+        notes = (*self.notes, *gaps_and_channels(time, table))
+        return _with_imposed(Recording(self.path.name, time, table, notes, computed))
 
     def _row(self, index: int) -> int:
         return index + self.first_row

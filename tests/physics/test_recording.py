@@ -180,6 +180,14 @@ def test_a_channel_computed_from_the_voltage_is_no_measurement(tmp_path: Path) -
         assert driven.channels["current"] == pytest.approx(amps[20:180])
         assert not any("times the voltage" in note for note in driven.notes)
         assert set(under(recording, "driven", "turned").channels) == kept | {"terminal", "shaft"}
+        # Likewise where a column says so.
+        words = path.read_text().splitlines()
+        told = [
+            f"{words[0]},terminal",
+            *(f"{row},{'current' if k > 20 else 'driven'}" for k, row in enumerate(words[1:])),
+        ]
+        path.write_text("\n".join(told))
+        assert set(read_recording(path).channels) == {"voltage", "current", "speed", "terminal"}
 
 
 @needs_recordings

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.converter import (
     LastingError,
     lasting_error,
@@ -23,7 +22,7 @@ from motorlens_physics.estimate.converter import (
 from motorlens_physics.estimate.signals import level_of, noise_sd
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.recording import Recording, inputs_of
+from motorlens_physics.recording import IMPOSED_BY, Recording, inputs_of
 from motorlens_physics.simulation import Inputs
 from motorlens_runtime.errors import DataError
 
@@ -34,8 +33,6 @@ Array = NDArray[np.float64]
 
 # Measured outputs in the order of their states.
 STATE_OF = {"current": "i", "speed": "w", "temperature": "theta"}
-# What imposes an output on the motor: the terminals or the shaft, tied to this.
-IMPOSED_BY = {"current": ("terminal", Terminal.CURRENT), "speed": ("shaft", Shaft.TURNED)}
 UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "V", "load_torque": "N*m"}
 ROWS = 30_000
 # Levels up to the largest value below which these are no converter's, but steps of a command.
