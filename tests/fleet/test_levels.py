@@ -177,7 +177,7 @@ def one_parameter(motors, spread, noise, seed, known=100.0):
 @pytest.mark.parametrize("seed", [8, 31, 58])
 def test_no_other_choice_of_spreads_helps_more_than_one_spread_must(seed):
     """Every choice is tried. One recording of three tells two parameters, better together than each: left out one after the
-    other, the better of two that do for one another may be gone (seed 58: by 8.8)."""
+    other, the better of two that do for one another may be gone (seed 58)."""
     rng, motors, each = np.random.default_rng(seed), 100, 3
     truth = np.repeat(0.05 * rng.standard_normal((motors, 2)), each, axis=0)
     own = np.array([0.12, 0.05])

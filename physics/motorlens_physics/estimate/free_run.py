@@ -75,7 +75,7 @@ def _free_run(model: Model, run: Run, r: int) -> FreeRun:
     return FreeRun(plain, trajectory, predicted, floor_of(model, plain, r, plain.measured - predicted))
 
 
-def floor_of(model: Model, run: Run, r: int, error: Array, *, averaged: int = 1) -> Array:
+def floor_of(model: Model, run: Run, r: int, error: Array) -> Array:
     """(C,) standard deviation that a perfect model's error has: of the sensors, and of the inputs through the motor.
 
     The slow torque is none of it, for nobody measured it, and a channel's own noise is no larger than its error is rough.
@@ -85,7 +85,6 @@ def floor_of(model: Model, run: Run, r: int, error: Array, *, averaged: int = 1)
         run: from an estimate, which found its noise.
         r: its position.
         error: (N, C) measured less predicted.
-        averaged: samples in a row of which the mean is taken.
     """
     assert run.noise is not None
     rough = np.array(
@@ -97,7 +96,7 @@ def floor_of(model: Model, run: Run, r: int, error: Array, *, averaged: int = 1)
     )
     white = np.minimum(run.noise.channels, rough**2) + run.steps**2 / 12
     lasting = run.noise.lasting_of_channels(run)
-    return np.asarray(np.sqrt(white / averaged + lasting + stirred_by_inputs(model, run, r, run.noise)))
+    return np.asarray(np.sqrt(white + lasting + stirred_by_inputs(model, run, r, run.noise)))
 
 
 def stirred_by_inputs(model: Model, run: Run, r: int, noise: Noise) -> Array:

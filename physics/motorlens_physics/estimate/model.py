@@ -162,7 +162,10 @@ def _skewed(model: Model, run: Run, r: int, channel: str, y: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _late(y, time_s, skew, late):  # type: ignore[no-untyped-def]
-    """Columns (N, m) so late, by the rate of the parabola through three samples; at the ends, of the line through two."""
+    """Columns (N, m) so late, by the rate of the parabola through three samples; at the ends, of the line through two.
+
+    As numpy's `gradient`, which makes many arrays of this size on the way.
+    """
     last = len(y) - 1
     for k in range(len(y)):
         before, after = time_s[k] - time_s[max(k - 1, 0)], time_s[min(k + 1, last)] - time_s[k]

@@ -6,7 +6,7 @@ maker's tolerance, and the same of R_a0 and ke, which voltage and current alone 
 its own, at the brushes or of a sensor, is the file's in all else. An estimate b of variance s^2 is N(0, s^2 + slack^2) for
 the one and N(0, s^2 + spread^2) for the other. Inertia and inductance are weighed together, and with how the voltage runs
 between samples (`hold`) as open as it is: at one frequency what one of them does to the voltage cancels another, and each
-alone looks like the file's. One motor in some thousands has both by chance: R_a0, as far as a cold start shows it, is
+alone looks like the file's. A few motors have both by chance: R_a0, as far as a cold start shows it, is
 weighed with them (`cold`).
 
 Until a start or a step has shown which, the intervals hold all three; what is then shown narrows them, or says in the
