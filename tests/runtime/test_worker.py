@@ -7,6 +7,7 @@ import pytest
 from helpers.processes import eventually
 
 from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.service.recorder import Recorder
 from motorlens_runtime.worker import Worker
 
@@ -142,3 +143,16 @@ def test_a_disk_that_is_full_for_a_while_leaves_whole_rows(tmp_path, room):
     assert set(rows) <= whole and rows[-1] in whole
     assert (recorder.error is None) == (room == 1000)
     assert room == 1000 or recorder.error.endswith("rec.csv: No space left on device")
+
+
+def test_a_recording_holds_what_was_wrong_with_the_line_and_not_that_the_machine_was_late(tmp_path):
+    recorder, words = (
+        Recorder(str(tmp_path / "rec.csv")),
+        (0, Quality.OVERLOAD, Quality.OVERLOAD | Quality.BRIDGED),
+    )
+    recorder.put(
+        Samples(np.arange(3) * 1_000_000, np.ones(3), np.ones(3), None, np.array(words, dtype=np.uint32))
+    )
+    recorder.close()
+    told = [int(row.rpartition(",")[2]) for row in (tmp_path / "rec.csv").read_text().splitlines()[1:]]
+    assert told == [0, 0, Quality.BRIDGED]

@@ -3,8 +3,11 @@
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.gate import Samples
+from motorlens_runtime.estimate.quality import Quality
 from motorlens_runtime.worker import Worker
 
 _MAX_SAMPLES = 1 << 18
@@ -58,7 +61,9 @@ class Recorder:
             self._with_ambient = samples.ambient_C is not None
             heading = HEADING + (",ambient_C\n" if self._with_ambient else "\n")
         columns = [(samples.time_ns / 1e9).tolist(), samples.voltage_V.tolist(), samples.current_A.tolist()]
-        columns.append([0] * len(samples) if samples.flags is None else samples.flags.tolist())
+        # That this machine was late is nothing of the line, and nothing of a replay.
+        flags = None if samples.flags is None else samples.flags & ~np.uint32(Quality.OVERLOAD)
+        columns.append([0] * len(samples) if flags is None else flags.tolist())
         if self._with_ambient and samples.ambient_C is not None:
             columns.append(samples.ambient_C.tolist())
         rows = "".join([",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True)])
