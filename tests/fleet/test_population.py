@@ -164,6 +164,8 @@ def test_an_effect_of_all_is_the_makes(dragging):
     assert found.lacks is not None
     assert found.lacks.key == "coulomb_friction.tau_c"
     assert found.lacks.share > 0.9
+    # What did nothing when it was in the motor file is not asked again; the other candidate shows in none.
+    assert population(found.file, found.observations, {"coulomb_friction.tau_c"}).lacks is None
 
 
 def test_the_file_of_the_make_says_what_a_new_motor_may_be(plain):
@@ -173,3 +175,23 @@ def test_the_file_of_the_make_says_what_a_new_motor_may_be(plain):
     assert make.motor.R_a0 == pytest.approx(mean[0])
     assert make.knowledge["R_a0"].sd == pytest.approx(found.scale.size[0] * found.spreads.omega[0], rel=0.05)
     assert make.knowledge["k0"] == found.file.knowledge["k0"]
+
+
+@pytest.mark.parametrize(("slight", "shared"), [((-0.03, 0.03), True), ((0.0, 0.0), False)])
+def test_what_most_have_each_in_its_own_way_is_asked_of_strangers_too(file, slight, shared):
+    """Six motors, two of them far off in their sensors' offset: with two that are slightly off, four of six have one."""
+    keys = (*KEYS[:3], "current_sensor_offset.offset")
+    sd = np.array([*(MAKE[:3] * [0.01, 0.01, 0.05]), 0.01])
+    information = np.diag(sd**-2)
+    tops = [np.array([*MAKE[:3], offset]) for offset in (0.0, 0.0, *slight, 0.3, -0.3)]
+    at = np.array([*MAKE[:3], 0.0])
+    found = population(file, [
+        Observation(f"m{m}", f"m{m}/run.csv", None, Parabola(keys, at, information @ (top - at), information))
+        for m, top in enumerate(tops)
+    ])  # fmt: skip
+    assert np.flatnonzero(~found.belongs).tolist() == [4, 5]
+    if shared:
+        assert found.lacks is not None
+        assert (found.lacks.key, found.lacks.share) == (keys[3], pytest.approx(4 / 6))
+    else:
+        assert found.lacks is None

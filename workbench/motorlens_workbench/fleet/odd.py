@@ -4,7 +4,7 @@ A motor is compared with the mean of those that belong, in the directions of the
 (score tests). What all motors have of a candidate is no oddness of any: for this question its mean is free.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,24 +93,29 @@ def alike(gains: Array) -> NDArray[np.bool_]:
     return np.asarray(surprise(gains) < -np.log10(FALSE_ALARMS / len(gains)))
 
 
-def make_effect(wide: Directions, data: Data, psi: Array) -> MakeEffect | None:
+def make_effect(
+    wide: Directions, data: Data, psi: Array, needless: Collection[str] = ()
+) -> MakeEffect | None:
     """The candidate that explains most, of those that help most motors; None if there is none.
 
     Args:
         wide: the recordings.
         data: the same in the free parameters, with the motors that belong.
         psi: (k,) spreads between recordings.
+        needless: keys of candidates that were in the motor file and did nothing there: no longer asked.
     """
-    candidates = range(wide.free, len(wide.keys))
+    candidates = [k for k in range(wide.free, len(wide.keys)) if wide.keys[k] not in needless]
     if data.motors < 2 or not candidates:
         return None
+    # Strangers are asked too: one may be strange by what most have, each in its own way. A few do not outvote the others.
+    data = replace(data, belongs=np.ones(data.motors, dtype=bool))
     # Each motor by itself: what all have in common has already moved what they have in common.
     apart = wide.padded(np.full(wide.free, MOST))
     off = misfit(wide.data(data, 0.0), apart, wide.padded(psi), wide.scale.limits())
-    told = (np.diagonal(off.information, axis1=1, axis2=2) > TELLS**-2)[data.belongs]
-    each, signs = off.gains()[data.belongs], np.sign(off.score[data.belongs])
+    told = np.diagonal(off.information, axis1=1, axis2=2) > TELLS**-2
+    each, signs = off.gains(), np.sign(off.score)
     helps = (each > HELPS_ONE) & told
-    score, table = off.score[data.belongs].sum(axis=0), off.information[data.belongs].sum(axis=0)
+    score, table = off.score.sum(axis=0), off.information.sum(axis=0)
     together = replace(off, score=score[None], information=table[None]).gains()[0]
     counted = np.count_nonzero(told, axis=0)
     # What all have alike; else what they have, each in its own way: another offset in each sensor.

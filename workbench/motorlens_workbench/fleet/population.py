@@ -6,7 +6,7 @@ parameters themselves, so that with them both levels are exact; where it is take
 the others to be one of them is left out of the estimate of what they have in common, and is still compared with it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,8 +140,13 @@ class Population:
         return self.scale.natural(phi), np.sqrt(np.maximum(variance, 0)) * self.scale.size
 
 
-def population(file: MotorFile, observations: Sequence[Observation]) -> Population:
-    """The population of recordings that were fitted with a motor file; at least one."""
+def population(
+    file: MotorFile, observations: Sequence[Observation], needless: Collection[str] = ()
+) -> Population:
+    """The population of recordings that were fitted with a motor file; at least one.
+
+    What it lacks is none of what has turned out `needless`.
+    """
     prior = prior_of(file, observations)
     keys, scale, known = prior.keys, *scale_of(file, prior)
     motors = tuple(sorted({o.motor for o in observations}))
@@ -162,7 +167,7 @@ def population(file: MotorFile, observations: Sequence[Observation]) -> Populati
     solved = _of_motors(data, estimated, between)
     return Population(
         file, keys, scale, known, motors, tuple(observations), wide, data, estimated, solved, data.belongs,
-        make_effect(wide, data, estimated.psi), differences(wide, off), surprise(off.gains()),
+        make_effect(wide, data, estimated.psi, needless), differences(wide, off), surprise(off.gains()),
     )  # fmt: skip
 
 

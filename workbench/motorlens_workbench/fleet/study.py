@@ -190,7 +190,7 @@ def study(
         outcomes = results(
             [(e, replace(template, path=e.path, file=file)) for e in some], store, work, progress
         )
-        return outcomes, population(file, observations(outcomes))
+        return outcomes, population(file, observations(outcomes), dropped)
 
     recorded = [entry for entry in entries if not entry.lacks]
     motors = sorted({entry.motor for entry in recorded})
@@ -202,7 +202,7 @@ def study(
         if needless := [one for one in added if not needed(found, one)]:
             dropped |= {one.key for one in needless}
             added = [one for one in added if one not in needless]
-        elif found.lacks is None or found.lacks.key in dropped:
+        elif found.lacks is None:
             break
         else:
             added.append(found.lacks)
