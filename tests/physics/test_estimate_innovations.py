@@ -113,7 +113,7 @@ def test_sums_by_blocks_are_those_of_all_samples_together(space: StateSpace) -> 
     plain = y.reshape(-1, 4)[dense.use]
     together = plain.T @ dense.inverse @ plain
     for blocks in (1, 5, 40):
-        found = sums(space, y[:, :, :3], y[:, :, 3], blocks)
+        found = sums(space, innovations(space, y[:, :, 3:]), y[:, :, :3], blocks)
         assert found.scores.shape == (min(blocks, SAMPLES), 3)
         np.testing.assert_allclose(found.gram, together[:3, :3], rtol=1e-9)
         np.testing.assert_allclose(found.scores.sum(axis=0), together[:3, 3], rtol=1e-9)
@@ -248,9 +248,18 @@ def log_between(below: np.ndarray, above: np.ndarray) -> np.ndarray:
 
 def test_blocks_are_filtered_as_the_whole_is(space: StateSpace) -> None:
     columns = np.random.default_rng(3).standard_normal((SAMPLES, CHANNELS, 4))
-    found = list(in_blocks(space, columns, [slice(0, 1), slice(1, 8), slice(8, SAMPLES)]))
+    found = list(
+        in_blocks(
+            space,
+            innovations(space, columns[:, :, :1]),
+            columns,
+            [slice(0, 1), slice(1, 8), slice(8, SAMPLES)],
+        )
+    )
     assert [len(one) for one in found] == [1, 7, SAMPLES - 8]
-    np.testing.assert_array_equal(np.concatenate(found), innovations(space, columns).white)
+    np.testing.assert_allclose(
+        np.concatenate(found), innovations(space, columns).white, rtol=1e-9, atol=1e-12
+    )
 
 
 def test_what_has_no_converter_is_read_as_it_is(space: StateSpace) -> None:
@@ -262,6 +271,15 @@ def test_what_has_no_converter_is_read_as_it_is(space: StateSpace) -> None:
     assert seen.deviance == pytest.approx(white**2)
     assert seen.unlikely[there] == pytest.approx((white**2 + 2 * np.log(filtered.scale))[there])
     assert not seen.unlikely[~there].any()
+
+
+def test_readings_are_filtered_as_what_they_tell_is(space: StateSpace) -> None:
+    rng = np.random.default_rng(4)
+    coarse = replace(space, steps=rng.uniform(0.5, 2.0, CHANNELS), noise=space.noise + 0.4)
+    seen = read(coarse, rng.standard_normal((SAMPLES, CHANNELS)))
+    again = innovations(seen.space, seen.error[:, :, None])
+    for one, other in zip(vars(seen.filtered).values(), vars(again).values(), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(("sd", "told"), [(0.0, 0.1), (0.12, 0.12), (0.3, 0.3)])

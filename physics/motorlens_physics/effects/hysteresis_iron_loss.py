@@ -25,7 +25,7 @@ class HysteresisIronLoss(Effect):
 
     k_h: float = param(0.0, "N*m", "hysteresis torque", bounds=(0.0, 1e3), prior=0.03, of="torque", null=0.0)
     w_s: float = param(
-        0.5, "rad/s", "width of the smoothing", bounds=(1e-3, 50.0), prior=0.002, of="speed", fixed=True
+        0.5, "rad/s", "speed at which it has built up", bounds=(1e-3, 50.0), prior=0.02, of="speed"
     )
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:

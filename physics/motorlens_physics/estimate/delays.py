@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse
-from motorlens_physics.estimate.innovations import innovations
+from motorlens_physics.estimate.innovations import in_blocks
 from motorlens_physics.estimate.prior import SKEW, Prior, around
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Errors, Weighed, at, needed
@@ -94,12 +94,13 @@ def gains_of_lags(part: Errors, c: int, most: int, columns: Array, width: Array)
     shown = part.run.measured[:, c] - part.difference[:, c]
     signal = np.zeros((*part.error.shape, 1))
     signal[:, c, 0] = shown - np.median(shown)
-    white = innovations(
-        part.read.space, np.concatenate([part.read.error[:, :, None], signal, columns], axis=2)
-    ).white
-    error, moved, slopes = white[:, :, 0], white[:, :, 1], white[:, :, 2:]
+    seen, rows = part.read, len(shown)
+    (white,) = in_blocks(
+        seen.space, seen.filtered, np.concatenate([signal, columns], axis=2), [slice(0, rows)]
+    )
+    error, moved, slopes = seen.filtered.white[:, :, 0], white[:, :, 0], white[:, :, 1:]
     rest = error + moved
-    lags, rows = np.arange(-most, most + 1), len(shown)
+    lags = np.arange(-most, most + 1)
     first, last = np.maximum(lags, 0), rows + np.minimum(lags, 0)
 
     size = next_fast_len(rows + most, real=True)

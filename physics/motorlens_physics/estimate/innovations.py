@@ -96,6 +96,7 @@ class Read:
     Attributes:
         space: with the noise that readings have near these errors, and no converter.
         error: (N, C) with readings that say as much as the intervals do.
+        filtered: their innovations, one column.
         deviance: (N, C) twice the logarithm by which each sample would be likelier if it showed just what is expected.
         unlikely: (N, C) twice the negative logarithmic likelihood of each sample, but for a constant; 0 where nothing was
             measured.
@@ -103,6 +104,7 @@ class Read:
 
     space: StateSpace
     error: Array
+    filtered: Filtered
     deviance: Array
     unlikely: Array
 
@@ -124,40 +126,45 @@ class Sums:
 
 def innovations(space: StateSpace, columns: Array) -> Filtered:
     """Filter columns (N, C, m), such as errors of all channels."""
-    return _Filter(space, columns.shape[2])(0, columns)
+    return _filtered(space, columns, np.zeros(columns.shape[1]))
 
 
-def in_blocks(space: StateSpace, columns: Array, blocks: Iterable[slice]) -> Iterator[Array]:
-    """The innovations of columns (N, C, m), (len, C, m) of each block of samples, one after another from the first on."""
-    filters = _Filter(space, columns.shape[2])
+def in_blocks(space: StateSpace, known: Filtered, columns: Array, blocks: Iterable[slice]) -> Iterator[Array]:
+    """The innovations of columns (N, C, m), (len, C, m) of each block of samples, one after another from the first on.
+
+    Of a filter that has been through these samples, scales and gains are `known`: they are the same for all columns.
+    """
+    balances, each = _balances(space), _each(space)
+    states = np.zeros((known.gain.shape[2], columns.shape[2]))
     for rows in blocks:
-        yield filters(rows.start, columns[rows]).white
+        white = np.empty((rows.stop - rows.start, *columns.shape[1:]))
+        _filter_on(
+            each, space.matrices, space.shows, space.drifts, balances, space.holds, space.keeps, known.scale, known.gain,
+            rows.start, states, np.ascontiguousarray(columns[rows]), white,
+        )  # fmt: skip
+        yield white
 
 
 def read(space: StateSpace, error: Array) -> Read:
     """What readings (N, C) less what is expected of them tell, sample by sample."""
     error, noise = np.array(error, order="C"), space.noise.copy()
     deviance, unlikely = np.zeros(error.shape), np.zeros(error.shape)
-    filters = _Filter(replace(space, noise=noise), 1)
-    filters(0, error[:, :, None], space.steps, deviance, unlikely)
-    return Read(replace(space, noise=noise, steps=np.zeros(len(space.steps))), error, deviance, unlikely)
+    filtered = _filtered(replace(space, noise=noise), error[:, :, None], space.steps, deviance, unlikely)
+    told = replace(space, noise=noise, steps=np.zeros(len(space.steps)))
+    return Read(told, error, filtered, deviance, unlikely)
 
 
-def sums(space: StateSpace, columns: Array, error: Array, blocks: int) -> Sums:
-    """What least squares needs of innovations of columns (N, C, k) and errors (N, C), without keeping them."""
+def sums(space: StateSpace, known: Filtered, columns: Array, blocks: int) -> Sums:
+    """What least squares needs of innovations of columns (N, C, k), beside those `known` of the errors; none is kept."""
     samples, _, count = columns.shape
     edges = np.unique(np.linspace(0, samples, min(blocks, samples) + 1).astype(int))
-    total, scores = np.zeros((count + 1, count + 1)), np.empty((len(edges) - 1, count))
-    filters = _Filter(space, count + 1)
-    for block, (first, last) in enumerate(pairwise(edges.tolist())):
-        white = filters(
-            first, np.concatenate([columns[first:last], error[first:last, :, None]], axis=2)
-        ).white
-        flat = white.reshape(-1, count + 1)
-        products = flat.T @ flat
-        total += products
-        scores[block] = products[-1, :-1]
-    return Sums(total[:-1, :-1], scores, float(total[-1, -1]))
+    parts = [slice(first, last) for first, last in pairwise(edges.tolist())]
+    gram, scores = np.zeros((count, count)), np.empty((len(parts), count))
+    for block, white in enumerate(in_blocks(space, known, columns, parts)):
+        flat = white.reshape(-1, count)
+        gram += flat.T @ flat
+        scores[block] = known.white[parts[block]].reshape(-1) @ flat
+    return Sums(gram, scores, float(np.sum(known.white**2)))
 
 
 def spread(space: StateSpace) -> Array:
@@ -181,34 +188,20 @@ def _balances(space: StateSpace) -> tuple[int, ...] | NDArray[np.int64]:
     return tuple(space.balances.tolist()) if len(space.balances) <= FEW else space.balances
 
 
-class _Filter:
-    """The Kalman filter of some columns, on its way: blocks of samples are given one after another."""
-
-    def __init__(self, space: StateSpace, width: int) -> None:
-        n, count = space.matrices.shape[1], len(space.balances)
-        self._space, self._each = space, _each(space)
-        self._covariance = np.diag(np.concatenate([space.start, space.variance]))
-        self._states = np.zeros((n + count, width))
-
-    def __call__(
-        self,
-        first: int,
-        columns: Array,
-        steps: Array | None = None,
-        deviance: Array = NOTHING,
-        unlikely: Array = NOTHING,
-    ) -> Filtered:
-        """Take in the samples (S, C, m) from the first on; with `steps`, one column is read and the others are written."""
-        space, (samples, channels, _) = self._space, columns.shape
-        white, scale = np.empty(columns.shape), np.empty((samples, channels))
-        gain = np.zeros((samples, channels, len(self._states)))
-        _filter(
-            self._each, space.matrices, space.shows, space.drifts, _balances(space), space.holds,
-            space.keeps, space.variance, space.noise, first,
-            self._covariance, self._states, np.ascontiguousarray(columns), white, scale,
-            gain, np.zeros(channels) if steps is None else steps, deviance, unlikely,
-        )  # fmt: skip
-        return Filtered(white, scale, gain)
+def _filtered(
+    space: StateSpace, columns: Array, steps: Array, deviance: Array = NOTHING, unlikely: Array = NOTHING
+) -> Filtered:
+    """Filter columns (N, C, m); with `steps`, one column is read and the others are written."""
+    n, count, (samples, channels, width) = space.matrices.shape[1], len(space.balances), columns.shape
+    white, scale = np.empty(columns.shape), np.empty((samples, channels))
+    gain = np.zeros((samples, channels, n + count))
+    covariance = np.diag(np.concatenate([space.start, space.variance]))
+    _filter(
+        _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds, space.keeps,
+        space.variance, space.noise, covariance, np.zeros((n + count, width)), np.ascontiguousarray(columns), white,
+        scale, gain, steps, deviance, unlikely,
+    )  # fmt: skip
+    return Filtered(white, scale, gain)
 
 
 def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, Array]:
@@ -343,7 +336,6 @@ def _filter(  # type: ignore[no-untyped-def]
     keeps,
     variance,
     noise,
-    begin,
     P,
     z,
     y,
@@ -359,8 +351,7 @@ def _filter(  # type: ignore[no-untyped-def]
     s, channels, width = n + count, y.shape[1], y.shape[2]
     A, G, late = np.zeros((n, s)), np.zeros((n, count)), np.zeros((n, count))
     ahead, K = np.zeros((n, width)), np.zeros(s)
-    for row in range(y.shape[0]):
-        k = begin + row
+    for k in range(y.shape[0]):
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
             _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
@@ -381,20 +372,20 @@ def _filter(  # type: ignore[no-untyped-def]
         for c in range(channels):
             h = shows[c]
             if not noise[k, c] < np.inf:
-                scale[row, c] = np.inf
+                scale[k, c] = np.inf
                 for m in range(width):
-                    white[row, c, m] = 0.0
+                    white[k, c, m] = 0.0
                 continue
             for r in range(s):
                 K[r] = P[r, h]
             for m in range(width):
-                white[row, c, m] = y[row, c, m] - z[h, m]
+                white[k, c, m] = y[k, c, m] - z[h, m]
             for d in drifts[c]:
                 if d >= 0:
                     for r in range(s):
                         K[r] += P[r, n + d]
                     for m in range(width):
-                        white[row, c, m] -= z[n + d, m]
+                        white[k, c, m] -= z[n + d, m]
             known = K[h]
             for d in drifts[c]:
                 if d >= 0:
@@ -402,32 +393,79 @@ def _filter(  # type: ignore[no-untyped-def]
             power = known + noise[k, c]
             if steps[c] > 0:
                 power -= steps[c] ** 2 / 12
-                best, share, chance, most = _interval(white[row, c, 0], power, steps[c])
+                best, share, chance, most = _interval(white[k, c, 0], power, steps[c])
                 deviance[k, c] = 2.0 * (most - chance)
                 unlikely[k, c] = -2.0 * chance
                 if share < TELLS_NOTHING:
-                    noise[k, c], scale[row, c], white[row, c, 0] = np.inf, np.inf, 0.0
+                    noise[k, c], scale[k, c], white[k, c, 0] = np.inf, np.inf, 0.0
                     continue
-                y[row, c, 0] += best / share - white[row, c, 0]
-                white[row, c, 0] = best / share
+                y[k, c, 0] += best / share - white[k, c, 0]
+                white[k, c, 0] = best / share
                 power /= share
                 noise[k, c] = power - known
             elif len(deviance):
-                deviance[k, c] = white[row, c, 0] ** 2 / power
+                deviance[k, c] = white[k, c, 0] ** 2 / power
                 unlikely[k, c] = deviance[k, c] + np.log(power)
             root = np.sqrt(power)
-            scale[row, c] = root
+            scale[k, c] = root
             for r in range(s):
                 K[r] /= root
-                gain[row, c, r] = K[r] / root
+                gain[k, c, r] = K[r] / root
             for m in range(width):
-                white[row, c, m] /= root
+                white[k, c, m] /= root
             for r in range(s):
                 for m in range(width):
-                    z[r, m] += K[r] * white[row, c, m]
+                    z[r, m] += K[r] * white[k, c, m]
             for r in range(s):
                 for q in range(s):
                     P[r, q] -= K[r] * K[q]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _filter_on(  # type: ignore[no-untyped-def]
+    each, matrices, shows, drifts, balances, holds, keeps, scale, gain, begin, z, y, white
+):
+    """As `_filter`, with its scales and gains as it has found them."""
+    n, count = len(each), len(balances)
+    s, channels, width = n + count, y.shape[1], y.shape[2]
+    G, late, ahead = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, width))
+    for row in range(y.shape[0]):
+        k = begin + row
+        if k:
+            _entering(matrices, balances, holds, keeps, k - 1, G, late)
+            for r in range(n):
+                for m in range(width):
+                    total = 0.0
+                    for q in range(n):
+                        total += matrices[k - 1, r, q] * z[q, m]
+                    for d in range(count):
+                        total += G[r, d] * z[n + d, m]
+                    ahead[r, m] = total
+            for r in range(n):
+                for m in range(width):
+                    z[r, m] = ahead[r, m]
+            for d in range(count):
+                for m in range(width):
+                    z[n + d, m] *= keeps[k - 1, d]
+        for c in range(channels):
+            h, root = shows[c], scale[k, c]
+            if not root < np.inf:
+                for m in range(width):
+                    white[row, c, m] = 0.0
+                continue
+            for m in range(width):
+                white[row, c, m] = y[row, c, m] - z[h, m]
+            for d in drifts[c]:
+                if d >= 0:
+                    for m in range(width):
+                        white[row, c, m] -= z[n + d, m]
+            for m in range(width):
+                white[row, c, m] /= root
+            for r in range(s):
+                # A gain is that of an innovation in the channel's unit.
+                of_white = gain[k, c, r] * root
+                for m in range(width):
+                    z[r, m] += of_white * white[row, c, m]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)

@@ -21,7 +21,6 @@ from scipy.special import chdtri
 from motorlens_physics.estimate.innovations import (
     StateSpace,
     disturbances,
-    innovations,
     read,
     share_that_remains,
 )
@@ -284,9 +283,8 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
             noise=np.where(np.isfinite(part.noise), noise.channels + part.steps**2 / 12, np.inf),
         )
         seen = read(here, error)
-        here, filtered = seen.space, innovations(seen.space, seen.error[:, :, None])
         total += float(np.sum(seen.unlikely))
-        _, of_inputs, of_channels = disturbances(here, filtered)
+        _, of_inputs, of_channels = disturbances(seen.space, seen.filtered)
         inputs, sensors = inputs + of_inputs, sensors + of_channels
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
     ratio = _ratio(inputs[:, : len(noise.disturbances)])
@@ -390,8 +388,7 @@ def coloured(noise: Noise, run: Run, linear: Linearisation, error: Array, used: 
         options={"xatol": DURATION},
     )
     other, _ = tried(other, np.exp(likeliest.x))
-    seen = read(other.space(run, linear, used), error)
-    left = innovations(seen.space, seen.error[:, :, None]).white[:, :, 0]
+    left = read(other.space(run, linear, used), error).filtered.white[:, :, 0]
     powers = np.array([np.mean(part**2) for part in np.array_split(left, PARTS)])
     return other if _correlation(left) < WHITE and np.std(powers) < UNEVEN * np.mean(powers) else noise
 

@@ -15,7 +15,7 @@ from scipy.special import chdtri
 
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
-from motorlens_physics.estimate.innovations import Read, Sums, disturbances, innovations, read, sums
+from motorlens_physics.estimate.innovations import Read, Sums, disturbances, read, sums
 from motorlens_physics.estimate.input_noise import share_that_is_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import (
@@ -110,7 +110,7 @@ class Errors:
 
     def sums(self, blocks: int) -> Sums:
         """Of white sensitivities and errors."""
-        made = sums(self.read.space, self.columns, self.read.error, blocks)
+        made = sums(self.read.space, self.read.filtered, self.columns, blocks)
         return replace(made, squares=self.squares())
 
     def squares(self) -> float:
@@ -141,11 +141,10 @@ class Errors:
         """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
         noise, _ = likelier(self.noise, self.run, self.linear, self.error, self.used, updates)
         heard = read(noise.space(self.run, self.linear, self.run.there), self.error)
-        space, filtered = heard.space, innovations(heard.space, heard.error[:, :, None])
         used = self.run.there
         if outliers:
-            used = used & (np.abs(filtered.white[:, :, 0]) <= OUTLIER)
-        seen, _, _ = disturbances(space, filtered)
+            used = used & (np.abs(heard.filtered.white[:, :, 0]) <= OUTLIER)
+        seen, _, _ = disturbances(heard.space, heard.filtered)
         shown = _shown(self.run)
         # A load brakes: what the torque balance got too little, the load sensor showed too much.
         missed = as_shown(
@@ -224,7 +223,7 @@ class Weighed:
         def one(pair: tuple[Errors, Errors]) -> Array:
             part, there = pair
             columns = np.concatenate([there.columns, there.error[:, :, None]], axis=2)
-            return np.asarray(sums(part.read.space, columns, part.read.error, 1).scores[0])
+            return np.asarray(sums(part.read.space, part.read.filtered, columns, 1).scores[0])
 
         products = np.zeros(self.size + 1)
         for part, scores in zip(

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.innovations import in_blocks, innovations, read
+from motorlens_physics.estimate.innovations import in_blocks, read
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.weighed import BLOCKS
@@ -248,13 +248,13 @@ class Lens:
         seen = read(self.noises[line.r].space(line.run, line.linear, line.run.there), rest)
         whitener, colour = white_noise(np.ones(line.error.shape[1])), 0.0
         if not self.plain:
-            left = innovations(seen.space, seen.error[:, :, None]).white[:, :, 0]
+            left = seen.filtered.white[:, :, 0]
             whitener = coloured(line.run, left, len(line.keys))
             colour = gain_of(line.run, left, whitener, self.noises[line.r])
         error = line.error + (seen.error - rest)
 
         def white(columns: Array, blocks: Iterable[slice]) -> Iterator[Array]:
-            return whitener.in_blocks(in_blocks(seen.space, columns, blocks))
+            return whitener.in_blocks(in_blocks(seen.space, seen.filtered, columns, blocks))
 
         return white, error, colour
 
