@@ -86,10 +86,10 @@ def anew(fitted: Fitted, reached: Weighed | None = None) -> Fitted | None:
 
 
 def nearly(fitted: Fitted) -> Weighed | None:
-    """How `anew` begins: near the best parameters, as far as pieces of long recordings tell."""
+    """How `anew` begins, but that inputs run as they do: near the best parameters, as far as pieces of recordings tell."""
     begin, runs = _beginning(fitted)
     try:
-        return near(runs, fitted.prior, begin)
+        return near(runs, fitted.prior, replace(begin, held=fitted.model.held), free=False)
     except ModelError:
         return None
 

@@ -94,7 +94,9 @@ def estimate(
     model = start_model(file, runs) if begin is None else begin
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
-    point = whole(near(runs, prior, model, held=held, progress=progress), model, runs, prior, progress)
+    point = whole(
+        near(runs, prior, model, free=held is None, progress=progress), model, runs, prior, progress
+    )
     point, gram, left = _tempered(point, prior, progress)
     found = _concluded(point, prior, gram, left)
     said = findings(found.fit)
@@ -127,12 +129,12 @@ def near(
     prior: Prior,
     begin: Model,
     *,
-    held: bool | None = None,
+    free: bool = True,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Weighed:
     """Near the best parameters: in pieces of long runs, with delays, the way inputs ran between samples, and noise.
 
-    Args: as of `estimate`.
+    Args: as of `estimate`; inputs run as they do in `begin` unless how they ran is `free`.
 
     Raises:
         ModelError: the motor cannot be simulated where it starts.
@@ -143,7 +145,7 @@ def near(
     model, pieces = pieces_of(wide, longer, PIECE)
     prior = prior_of(prior, begin, pieces, cut(runs, pieces))
     timing = Timing(model, wide, longer, prior, progress)
-    point = timing.likeliest(timing.near(model, pieces), free=held is None)
+    point = timing.likeliest(timing.near(model, pieces), free=free)
     # Parameters that are wrong leave errors that follow the inputs, and that last.
     rough = with_rough_inputs(point, prior)
     point = point if rough is point else minimised(rough, prior, progress, outliers=False)[0]

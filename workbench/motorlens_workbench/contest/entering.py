@@ -117,10 +117,7 @@ def enter(
         if step.accepted is None and step.standing is not None:
             return step
         if step.standing is not None:
-            # What was missing may have passed for a delay.
-            again = anew(step.standing.fitted)
-            if again is not None and _unlikely(here, again) < step.unlikely:
-                step = step.then(_judged(here, one.score, again, own))
+            step = _timed_anew(here, one.score, step, own)
             break
     if not (strongest.named if step.standing is None else follows(step.standing)):
         # What is missing has bent the model, and where that ended another name, or none, may help most.
@@ -181,9 +178,23 @@ def enter_anew(
     for one, fitted in sorted(made, key=lambda pair: -likely[pair[0].name]):
         step = step.then(_judged(here, one, fitted, own))
         if step.accepted is not None:
+            step = _timed_anew(here, one, step, own)
+            assert step.accepted is not None
             beside = {name: 0.5 * (less[one.name] - more) for name, more in less.items()}
             return replace(step, accepted=replace(step.accepted, beside=beside))
     return step
+
+
+def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effect]]) -> Step:
+    """A step that led somewhere, or to where the motor is estimated from the beginning with it, if that is likelier.
+
+    What was missing may have passed for a delay, or for inputs that ran otherwise between their samples.
+    """
+    assert step.standing is not None
+    again = anew(step.standing.fitted)
+    if again is None or _unlikely(here, again) >= step.unlikely:
+        return step
+    return step.then(_judged(here, one, again, own))
 
 
 def _occam(one: Score, fitted: Fitted) -> float:
