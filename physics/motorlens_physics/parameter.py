@@ -29,7 +29,8 @@ class Parameter:
             "torque/speed^2"; "1" for an absolute figure in `unit`.
         null: the value at which the effect vanishes; None for a parameter that only shapes it.
         fixed: stated by choice, never calibrated (the width of a smoothing, a number of slots).
-        role: "phase" of the shaft's angle, "count" of periods a revolution; "" for anything else.
+        role: "phase" of the shaft's angle, "count" of periods a revolution, "width" of a transition that may be sharper than
+            any recording tells; "" for anything else.
     """
 
     name: str

@@ -25,7 +25,13 @@ class CoulombFriction(Effect):
 
     tau_c: float = param(0.0, "N*m", "Coulomb torque", bounds=(0.0, 1e3), prior=0.03, of="torque", null=0.0)
     w_s: float = param(
-        0.5, "rad/s", "speed at which it has built up", bounds=(1e-3, 50.0), prior=0.02, of="speed"
+        0.5,
+        "rad/s",
+        "speed at which it has built up",
+        bounds=(1e-3, 50.0),
+        prior=0.02,
+        of="speed",
+        role="width",
     )
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:

@@ -133,7 +133,7 @@ def minimise(
     point = begin
     scale = np.array([prior.sd[key] for key in keys])
     gram, left = np.diag(1 / scale**2), float("inf")
-    whole, share = np.zeros(len(keys)), 1.0
+    last_end, whole, share, swings = (point, gram, left), np.zeros(len(keys)), 1.0, False
 
     def tried(step: Array) -> tuple[P | None, float]:
         """Where a step leads, and what it costs there as the point it starts from sees it."""
@@ -148,11 +148,21 @@ def minimise(
 
     for k in range(rounds):
         point = between(point)
-        before, last = left, whole
+        if swings:
+            point = anew(point)
+        last = whole
         gram, gradient, cost, whole = _seen(point, prior)
         left = _length(whole, gram)
-        if left < enough or before <= left < CONVERGED:
+        if left < enough:
             break
+        if last_end[2] <= min(left, CONVERGED):
+            return last_end
+        # What `between` found is a step old: where the minimum moves with it, steps swing about the end and get no shorter.
+        if last_end[2] <= left and not swings:
+            swings, point = True, anew(point)
+            gram, gradient, cost, whole = _seen(point, prior)
+            left = _length(whole, gram)
+        last_end = point, gram, left
         share = _share(share, last, whole, gram)
         moved, fresh = False, False
         for _ in range(TRIES):

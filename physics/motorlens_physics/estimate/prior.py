@@ -24,6 +24,9 @@ RELATIVE_SD = {
 FITTED = "fitted to"
 # A share of the value in the motor file below which no textbook parameter may fall: none is 20 times off.
 LEAST = 0.05
+# A width is no less than this share of what it typically is: what is sharper acts as that does, and a fit has nothing to go
+# by (`test_estimate_smooth_drive.py`: with no such end some fits wander there and do not converge).
+SHARPEST = 0.1
 # Nuisances are for small things: what would need more of them than this many standard deviations is something else.
 WITHIN = 4.0
 # A converter takes its channels one after another, within about a sample: one standard deviation, in samples. What is
@@ -109,7 +112,10 @@ def part_prior(file: MotorFile, name: str) -> Prior:
             width = max(abs(centre), meaning.sd(file.rated))
         if known.sd is not None and not known.source.startswith(FITTED):
             centre, width = getattr(part, parameter), known.sd
-        prior = prior.joined(Prior({key: centre}, {key: width}, {key: meaning.bounds}))
+        low, high = meaning.bounds
+        if meaning.role == "width":
+            low = max(low, SHARPEST * typical)
+        prior = prior.joined(Prior({key: centre}, {key: width}, {key: (low, high)}))
     return prior
 
 

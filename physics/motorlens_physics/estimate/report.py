@@ -70,7 +70,8 @@ def findings(fit: Fit) -> Findings:
     at_bound: dict[str, str] = {}
     far: dict[str, str] = {}
     for key in keys:
-        centre, width, unit = prior.centre[key], prior.sd[key], file.meaning(key).unit
+        meaning = file.meaning(key)
+        centre, width, unit = prior.centre[key], prior.sd[key], meaning.unit
         unit = "" if unit == "1" else f" {unit}"
         value[key], sd[key] = fitted[key], min(deviation[key], width)
         left = sd[key] / width
@@ -83,8 +84,11 @@ def findings(fit: Fit) -> Findings:
             continue
         for bound in prior.bounds[key]:
             if abs(value[key] - bound) <= AT_BOUND * sd[key]:
+                sharp = meaning.role == "width" and bound == prior.bounds[key][0]
                 at_bound[key] = (
-                    f"{key}: ends at {bound:.4g}{unit}, the edge of what is possible; something else is wrong, "
+                    f"{key}: {bound:.4g}{unit} or less; these recordings tell no more"
+                    if sharp
+                    else f"{key}: ends at {bound:.4g}{unit}, the edge of what is possible; something else is wrong, "
                     "or missing from the model"
                 )
         # What the recordings add to the prior moves its centre by as much as its variance shrinks.
