@@ -8,12 +8,17 @@ repository: their sources are named in the README of that folder. Without the fo
 """
 
 import argparse
+import gzip
 import json
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from scipy.signal import butter, filtfilt
+
+from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_runtime.cli import main as motorlens
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -124,7 +129,45 @@ def undcmotor(folder: Path) -> None:
     tell("undcmotor, open and closed loop", answer)
 
 
-STUDIES = {"regbot": regbot, "fra233": fra233, "ksu_thermal": ksu_thermal, "undcmotor": undcmotor}
+def emps(folder: Path) -> None:
+    """A drive of which the owners' estimates are published: 1 "N m" is 1 kN."""
+    run, motor = folder / "emps" / "train_iw.csv.gz", folder / "emps" / "emps.toml"
+    tell("emps, published: Coulomb friction 20.4 N, offset 3.2 N", diagnose([run], motor))
+    with tempfile.TemporaryDirectory() as place:
+        half, models = Path(place) / "half.csv", [motor]
+        rows = gzip.decompress(run.read_bytes()).decode().splitlines()
+        half.write_text("\n".join(rows[: len(rows) // 2]) + "\n")
+        for effect in ("coulomb_friction", "constant_torque"):
+            models.append(Path(place) / f"{effect}.toml")
+            words = ["--motor", str(models[-2]), "--fit", str(half), "-o", str(models[-1])]
+            if motorlens(["add", effect, *words]) != 0:
+                return
+        told = ((model.stem, _force_off(read_motor_file(model), rows)) for model in models[1:])
+        for name, share in told:
+            print(
+                f"emps, fitted to the first half, + {name}: force {share:.1%} off in the second", flush=True
+            )
+
+
+def _force_off(file: MotorFile, rows: Sequence[str]) -> float:
+    """Share of the force of the second half that a motor file's mechanical equation leaves, everything below 60 Hz."""
+    time, volts, _, speed = np.array([[float(y) for y in row.split(",")] for row in rows[1:]]).T
+    value, slope = file.values(), np.gradient(speed, time)
+    friction = value["coulomb_friction.tau_c"] * np.tanh(speed / value["coulomb_friction.w_s"])
+    needed = value["J"] * slope + value["b"] * speed + friction + value.get("constant_torque.tau_0", 0.0)
+    force = value["ke"] / value["R_a0"] * (volts - value["ke"] * speed)
+    low = butter(4, 60.0, fs=1 / np.median(np.diff(time)))
+    off, whole = (filtfilt(*low, y)[len(time) // 2 :] for y in (force - needed, force))
+    return float(np.linalg.norm(off) / np.linalg.norm(whole))
+
+
+STUDIES = {
+    "regbot": regbot,
+    "fra233": fra233,
+    "ksu_thermal": ksu_thermal,
+    "undcmotor": undcmotor,
+    "emps": emps,
+}
 
 
 def main() -> int:
@@ -132,7 +175,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "folder", type=Path, help="the folder with regbot/, fra233/, ksu_thermal/ and undcmotor/"
+        "folder", type=Path, help="the folder with regbot/, fra233/, ksu_thermal/, undcmotor/ and emps/"
     )
     parser.add_argument(
         "--only", choices=sorted(STUDIES), nargs="+", default=list(STUDIES), help="some of the motors"
