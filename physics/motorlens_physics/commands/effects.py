@@ -140,9 +140,8 @@ def _print_list(
         for name, effect in effects.items():
             if describe.equation_of(effect) == equation:
                 switch = effect.switch()
-                print(
-                    f"  {name:32}{switch.name} ~ {describe.size(switch, rated):22}{', '.join(effect.excited_by)}"
-                )
+                sized = f"{switch.name} ~ {describe.size(switch, rated)}"
+                print(f"  {name:32}{sized:32}{', '.join(effect.excited_by)}")
                 for line in describe.equations(effect):
                     print(f"      {line}")
     print("sensors (on voltage, current, speed, temperature, load_torque)")
@@ -150,7 +149,7 @@ def _print_list(
         switch_of = model.switch()
         sized = ", ".join(f"{p.name} ~ {describe.size(p, rated)}" for p in model.parameters().values())
         note = ", ".join(model.excited_by) if switch_of else "for simulation only"
-        print(f"  {model.name():33}{sized:30}{note}")
+        print(f"  {model.name():32}{sized:40}{note}")
         if switch_of:
             print(f"      {describe.sensor_equation(model)}")
 
