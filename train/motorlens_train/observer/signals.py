@@ -55,6 +55,7 @@ class Signals:
     Attributes:
         level: variance of white noise, in terms of the settings'.
         colour: factor by which it weighs more, being coloured.
+        white: variance that white noise gives an innovation, V^2.
         share: sum of squared steps over the squared length: 1 / samples.
         slope: mean of the current, A; `weighing` weighs an innovation: what of it was beyond its noise before this window,
             and a change since that no noise can be.
@@ -69,6 +70,7 @@ class Signals:
 
     level: Any
     colour: Any
+    white: Any
     share: Any
     slope: Any
     weighing: Any
@@ -108,10 +110,14 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     lean = gap.select(0.0, window["sum_lean"] / T)
     coarse, kept = _coarse(layout, window, memory, level)
     kept |= {"drive": memory["drive"] + moved, "driven": driven, "slope": slope}
+    # Of the resistance at the start: its share is the smaller one, and the level makes good for the rest.
+    R = m.resistance(layout.start[layout.at["theta"]])
+    each, ends = layout.v_sd**2 + (R * layout.i_sd) ** 2, 2 * (m.L * layout.i_sd) ** 2
+    white = level * (share * each + ends / (T * T))
     colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
     turned = (1.0 - free) * (weighing - before) * (1 / m.ke)
     side = (weighing * (1 / (SATURATED * layout.rated.current_A))).max(-1.0).min(1.0)
-    return Signals(level, colour, share, slope, weighing, side, free, turned, lean, noise, coarse, kept)
+    return Signals(level, colour, white, share, slope, weighing, side, free, turned, lean, noise, coarse, kept)
 
 
 def noise_memory(memory: Mapping[str, Value], error: Any, told: Any, believed: Any) -> dict[str, Any]:
