@@ -186,7 +186,8 @@ def _advanced(
         # What an error of speed or load heats within a window is nothing beside `thermal_walk`.
         cool = j in layout.slow
         F[j] = [
-            own if k == j else 0.0 if cool and k in (w, load) else A[j][k] * reach * believed for k in range(n)
+            own if k == j else 0.0 if cool and k in (w, load) else A[j][k] * reach * believed
+            for k in range(n)
         ]
         ahead[j] = x[j] + reach * rates[j]
         if j in (w, load):

@@ -117,7 +117,9 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
     turned = (1.0 - free) * (weighing - before) * (1 / m.ke)
     side = (weighing * (1 / (SATURATED * layout.rated.current_A))).max(-1.0).min(1.0)
-    return Signals(level, colour, white, share, slope, weighing, side, free, turned, lean, noise, coarse, kept)
+    return Signals(
+        level, colour, white, share, slope, weighing, side, free, turned, lean, noise, coarse, kept
+    )
 
 
 def noise_memory(memory: Mapping[str, Value], error: Any, told: Any, believed: Any) -> dict[str, Any]:
