@@ -164,7 +164,7 @@ def test_noise_that_becomes_louder_is_sought_anew(times, windows, within):
         state = dict(zip(NOISE, program(*state.values(), own), strict=True))
     found = np.exp(0.5 * state["log_level"])
     assert np.median(found) == pytest.approx(times, rel=within)
-    assert times == 5.0 or np.std(np.log(found)) < 0.15 and np.mean(state["count"] < WINDOWS) < 0.01
+    assert times == 5.0 or (np.std(np.log(found)) < 0.15 and np.mean(state["count"] < WINDOWS) < 0.01)
 
 
 @pytest.mark.fit
