@@ -1,10 +1,12 @@
 """Sensor files in worlds they were not made in: the runtime itself, on a plant that shares no code with the packages."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from sensor_rows.common import MELLAH
 
 from motorlens_physics.queue import Work
@@ -15,6 +17,7 @@ from motorlens_runtime.progress import Progress
 from motorlens_runtime.sensor.sensor import Sensor, load_sensor
 from motorlens_train.evaluation.worlds.drive import Drive
 from motorlens_train.evaluation.worlds.judge import ROWS, Verdict, verdict
+from motorlens_train.evaluation.worlds.plant import Array
 from motorlens_train.evaluation.worlds.table import cells as cells_of
 from motorlens_train.evaluation.worlds.table import text
 from motorlens_train.evaluation.worlds.world import Recorded, World, at, drawn, noise, record
@@ -25,8 +28,25 @@ _BLOCK = 65536
 USUAL = 3.0
 
 
+@dataclass(frozen=True)
+class Published:
+    """What the runtime says at some `rows` (M,) of a recording: `values` (M, 3), their deviations `sds`, and which of
+    them (M,) are `good`."""
+
+    rows: NDArray[np.intp]
+    values: Array
+    sds: Array
+    good: NDArray[np.bool_]
+
+
 def judged(sensor: Sensor, world: World, recorded: Recorded) -> Verdict:
     """What the runtime publishes in a world, held against the truth."""
+    found = published(sensor, world, recorded)
+    return verdict(world, recorded, found.rows, found.values, found.sds, found.good)
+
+
+def published(sensor: Sensor, world: World, recorded: Recorded) -> Published:
+    """What the runtime publishes in a world."""
     time_ns = np.round(recorded.time_s * 1e9).astype(np.int64)
     estimator = open_estimator(sensor, 1 / float(world.factors["rate"]))
     rows = np.unique(np.linspace(0, len(time_ns) - 1, ROWS).astype(np.intp))
@@ -44,7 +64,7 @@ def judged(sensor: Sensor, world: World, recorded: Recorded) -> Verdict:
     # A motor that did start cold is known to have: a sensor that takes every start for one is judged there.
     known = int(Quality.ASSUMED_COLD) if world.factors["start"] == "cold" else 0
     good = (np.concatenate(words) & ~np.uint32(known)) == 0
-    return verdict(world, recorded, rows, np.concatenate(values), np.concatenate(sds), good)
+    return Published(rows, np.concatenate(values), np.concatenate(sds), good)
 
 
 def judged_alone(number: int, path: str, seed: int, chosen: Mapping[str, str]) -> Verdict:

@@ -9,7 +9,9 @@ from motorlens_train.evaluation.worlds.judge import verdict
 from motorlens_train.evaluation.worlds.plant import Constants, run
 from motorlens_train.evaluation.worlds.world import at, drawn, record
 from motorlens_train.observer.design import ObserverSettings, observer
-from motorlens_train.observer.file import MEMORY, WIDTH
+from motorlens_train.observer.file import MEMORY, NOISE, WIDTH
+from motorlens_train.observer.program import Recorder
+from motorlens_train.observer.signals import WINDOWS, noise_memory
 
 DRIVE = Drive.of(MELLAH)
 TRAINED = ObserverSettings(voltage_sd=0.48, current_sd=0.0509)
@@ -145,6 +147,24 @@ def test_the_size_of_the_noise_is_found_within_a_second(watching, times):
     _, state = watching.run(np.full(n, 1e-3), 160.0 + noise_V, states[:, 0] + noise_A, np.full(n, 20.0))
     found = np.exp(0.5 * state[WIDTH + MEMORY.index("log_level")])
     assert found == pytest.approx(times, rel=0.4)
+
+
+@pytest.mark.parametrize(("times", "windows", "within"), [(5.0, 20, 0.25), (1.0, 400, 0.12), (0.2, 200, 0.2)])
+def test_noise_that_becomes_louder_is_sought_anew(times, windows, within):
+    """Of innovations that are noise alone, in 500 draws: 5 times as loud they are known for it in a fifth of a second, and
+    as loud as before nothing is sought."""
+    r = Recorder()
+    memory = dict(zip(NOISE, r.inputs(NOISE), strict=True))
+    kept = noise_memory(memory, r.input("own"), r.constant(1.0), r.constant(1.0))
+    program = r.program([kept[name] for name in NOISE])
+    draws, rng = 500, np.random.default_rng(0)
+    state = {name: np.full(draws, WINDOWS if name == "count" else 0.0) for name in NOISE}
+    for _ in range(windows):
+        own = times * rng.standard_normal(draws) / np.exp(0.5 * state["log_level"])
+        state = dict(zip(NOISE, program(*state.values(), own), strict=True))
+    found = np.exp(0.5 * state["log_level"])
+    assert np.median(found) == pytest.approx(times, rel=within)
+    assert times == 5.0 or (np.std(np.log(found)) < 0.15 and np.mean(state["count"] < WINDOWS) < 0.01)
 
 
 @pytest.mark.fit

@@ -183,7 +183,12 @@ def _advanced(
     creeping = rests * (creep - left * left * P[w][w])
     for j in range(n):
         own, reach = exponential(A[j][j], short if j in (w, load) else T)
-        F[j] = [A[j][k] * reach * believed if k != j else own for k in range(n)]
+        # What an error of speed or load heats within a window is nothing beside `thermal_walk`.
+        cool = j in layout.slow
+        F[j] = [
+            own if k == j else 0.0 if cool and k in (w, load) else A[j][k] * reach * believed
+            for k in range(n)
+        ]
         ahead[j] = x[j] + reach * rates[j]
         if j in (w, load):
             F[j], ahead[j] = [entry * moves for entry in F[j]], ahead[j] * moves
@@ -222,15 +227,11 @@ def _advanced(
     H = [-slope for slope in slopes]
     # The mean speed, seen from the speed at the end: what drives it reached it halfway.
     H = [H[j] - (0.5 * H[w] * F[w][j] if j != w else 0.0) for j in range(n)]
-    white = (
-        found.level
-        * (steps * (layout.v_sd**2) + R * R * steps * layout.i_sd**2 + 2 * (motor.L * layout.i_sd) ** 2)
-        / (T * T)
-    )
     changes = window["sum_changes"] / (T * T)
+    off = R * unsure
     noise = (
-        found.colour * white + found.coarse + changes + (settings.model_sd * rated.voltage_V) ** 2
-        + R * unsure * R * unsure
+        found.colour * found.white + found.coarse + changes + (settings.model_sd * rated.voltage_V) ** 2
+        + off * off
         + (sag * (motor.ke * settings.bend_sd)) * (sag * (motor.ke * settings.bend_sd))
     )  # fmt: skip
     PH = [dot(P[j], H) for j in range(n)]
@@ -269,14 +270,14 @@ def _advanced(
     fastest = 4 * rated.speed_rad_s
     new[w] = gap.select(after, new[w]).max(-fastest).min(fastest)
     surprise = error * error / S
-    expected = S - (found.colour - 1.0) * white
+    expected = S - (found.colour - 1.0) * found.white
     return _Step(
         new,
         P,
         surprise,
         _log(error, S),
         error / expected.sqrt(),
-        white / expected,
+        found.white / expected,
         fresh,
         Window(error, S, K, H, F, rates, 0.0, changes, 0.0),
     )

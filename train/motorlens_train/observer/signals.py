@@ -33,6 +33,9 @@ WINDOWS, PRIOR = 42.0, 2.0
 LOG_SQUARE, MOST_LOG, RANGE = 1.2704, 4.0, 9.2
 # Coloured noise weighs (1 + c)/(1 - c) times as much as white: c is at most this.
 MOST_COLOUR = 0.8
+# Two innovations in a row, of either sign and of 4 white deviations each: once in hours of noise that is as loud as it is
+# said to be. What a load, a motor or its states do to them has one sign.
+ALTERNATE = 16.0
 # Until a change has shown a converter's step, it may be as large as this many of the settings' deviations.
 COARSEST = 3.5
 
@@ -55,6 +58,7 @@ class Signals:
     Attributes:
         level: variance of white noise, in terms of the settings'.
         colour: factor by which it weighs more, being coloured.
+        white: variance that white noise gives an innovation, V^2.
         share: sum of squared steps over the squared length: 1 / samples.
         slope: mean of the current, A; `weighing` weighs an innovation: what of it was beyond its noise before this window,
             and a change since that no noise can be.
@@ -69,6 +73,7 @@ class Signals:
 
     level: Any
     colour: Any
+    white: Any
     share: Any
     slope: Any
     weighing: Any
@@ -108,22 +113,29 @@ def signals(layout: Layout, window: Mapping[str, Value], memory: Mapping[str, Va
     lean = gap.select(0.0, window["sum_lean"] / T)
     coarse, kept = _coarse(layout, window, memory, level)
     kept |= {"drive": memory["drive"] + moved, "driven": driven, "slope": slope}
+    # Of the resistance at the start: the current's noise is the smaller one there, and the level makes good for the rest.
+    sample = layout.v_sd**2 + (m.resistance(layout.start[layout.at["theta"]]) * layout.i_sd) ** 2
+    white = level * (share * sample + (2 * (m.L * layout.i_sd) ** 2) / (T * T))
     colour = (1.0 + memory["colour"]) / (1.0 - memory["colour"])
     turned = (1.0 - free) * (weighing - before) * (1 / m.ke)
     side = (weighing * (1 / (SATURATED * layout.rated.current_A))).max(-1.0).min(1.0)
-    return Signals(level, colour, share, slope, weighing, side, free, turned, lean, noise, coarse, kept)
+    return Signals(
+        level, colour, white, share, slope, weighing, side, free, turned, lean, noise, coarse, kept
+    )
 
 
 def noise_memory(memory: Mapping[str, Value], error: Any, told: Any, believed: Any) -> dict[str, Any]:
     """Level and colour of the noise after an innovation `error`, in its own white deviations.
 
     The level follows the mean logarithm, which an outlier moves no more than a small one. A window counts by what of its
-    variance is white noise, `told`: where the states are hardly known, an innovation tells of them.
+    variance is white noise, `told`: where the states are hardly known, an innovation tells of them. Noise that has become
+    louder is sought anew: as it is, its innovations would pass for loads that jump and motors of which nothing is known.
     """
-    count = (memory["count"] + told).min(WINDOWS)
+    product = error * memory["error"]
+    count = ((-ALTERNATE <= product) * memory["count"] + told).min(WINDOWS)
     pace = told / (count + PRIOR)
     larger = ((error * error + 1e-9).log() + LOG_SQUARE).max(-MOST_LOG).min(MOST_LOG)
-    product = (error * memory["error"]).max(-MOST_LOG).min(MOST_LOG)
+    product = product.max(-MOST_LOG).min(MOST_LOG)
     return {
         "log_level": (memory["log_level"] + pace * larger).max(-RANGE).min(RANGE),
         "colour": (memory["colour"] + pace * (product - memory["colour"])).max(0.0).min(MOST_COLOUR),
