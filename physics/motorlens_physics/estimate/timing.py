@@ -103,7 +103,7 @@ class Timing:
         """The point near the best parameters of runs that ran otherwise, and what that gains beyond chance."""
         none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
         held = tuple(run.inputs.hold for run in runs)
-        # That all is late is a claim of its own: it must win more than the noise, which is found in as many values, is known by.
+        # That all is late is a claim of its own: it must win more than noise is known by that was found in as many values.
         values = sum(int(np.sum(run.there)) for run in runs)
         least = needed(1) + np.sqrt(2 * values) if _lates(runs) != _lates(point.runs) else 0.0
         # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
