@@ -125,12 +125,6 @@ class Noise:
         )
         return alike.within(other.channels, other.disturbances)
 
-    def no_less_than(self, other: "Noise") -> "Noise":
-        """With no variance smaller than that of another, of the same run."""
-        return self.within(
-            np.maximum(self.channels, other.channels), np.maximum(self.disturbances, other.disturbances)
-        )
-
     def lasting(self, lasts_s: float) -> "Noise":
         """With an unmeasured torque that lasts so long."""
         durations = self.lasts_s.copy()

@@ -7,8 +7,6 @@ only where that holds.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from motorlens_physics.estimate.between_samples import as_they_ran
 from motorlens_physics.estimate.delays import likeliest_lag, nearer, realigned
 from motorlens_physics.estimate.fit import NEAR, fit
@@ -103,9 +101,7 @@ class Timing:
         """The point near the best parameters of runs that ran otherwise, and what that gains beyond chance."""
         none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
         held = tuple(run.inputs.hold for run in runs)
-        # That all is late is a claim of its own: it must win more than noise is known by that was found in as many values.
-        values = sum(int(np.sum(run.there)) for run in runs)
-        least = needed(1) + np.sqrt(2 * values) if _lates(runs) != _lates(point.runs) else 0.0
+        least = needed(1) if _lates(runs) != _lates(point.runs) else 0.0
         # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
         for start in (point.model.with_values(none), self.begin):
             other = self.near(replace(start, held=held), runs)

@@ -392,17 +392,18 @@ def gained_as_run(point: Weighed, other: Weighed, prior: Prior) -> float:
 
     Twice a logarithm, as `gained`, but the noise of the inputs goes through each motor as its inputs ran: held and linear
     inputs let through other noise, and each would look best in its own frame. How probable the noise is, is left out: it
-    would prefer inputs that run smoothly, whether or not they did. Both are looked at under the larger noise of the two, for
-    a fit that is wrong takes one channel's for another's.
+    would prefer inputs that run smoothly, whether or not they did. Both are looked at under the noise of the first, and what
+    is won must be beyond what is not known of that: squares of N values are known within sqrt(2 N).
     """
     won = prior.penalty(point.model.values()) - prior.penalty(other.model.values())
+    values = 0
     for a, b in zip(point.parts, other.parts, strict=True):
-        noise = a.noise.no_less_than(b.noise)
         later = tuple(b.run.late.get(c, 0) - a.run.late.get(c, 0) for c in a.run.channels)
-        here = replace(a, noise=noise, used=a.run.there & moved_on(b.run.there, later))
-        there = replace(b, noise=noise, used=b.run.there & moved_on(a.run.there, [-n for n in later]))
+        here = replace(a, used=a.run.there & moved_on(b.run.there, later))
+        there = replace(b, noise=a.noise, used=b.run.there & moved_on(a.run.there, [-n for n in later]))
         won += here.squares() - there.squares()
-    return won / point.tempered().inflation
+        values += int(np.sum(here.used))
+    return won / point.tempered().inflation - float(np.sqrt(2 * values))
 
 
 def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
