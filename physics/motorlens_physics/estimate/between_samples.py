@@ -12,13 +12,13 @@ import numpy as np
 from motorlens_physics.estimate.model import sensitivities_of
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Frame, Weighed, moved_on, needed
+from motorlens_physics.estimate.weighed import Weighed, moved_on, needed
 
 
 def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
     """The runs with their inputs held between samples, or not, and all channels a sample earlier or later: as is likeliest.
 
-    Each way is judged at its own best parameters, one step away. A run that stays as it was is the same
+    Each way is judged at its own best parameters, one step away, see `weighed.Frame`. A run that stays as it was is the same
     object.
     """
     chosen, inflation = [], point.tempered().inflation
@@ -73,10 +73,8 @@ def _costs(
     held = tuple(hold if k == r else h for k, h in enumerate(point.model.held))
     model = replace(point.model, held=held).with_values(none)
     values = model.values()
-    run = part.run.holding(hold)
-    _, shown, columns, linear = sensitivities_of(model, run, r, keys)
-    # The noise of the inputs goes through the motor as they ran, see `gained_as_run`.
-    frame = Frame(model, run, r, linear)
+    run, frame = part.run.holding(hold), point.frames[r]
+    _, shown, columns, _ = sensitivities_of(model, run, r, keys)
     width = np.array([prior.sd[key] for key in keys])
     off = np.array([values[key] - prior.centre[key] for key in keys]) / width
     costs = {}

@@ -19,7 +19,7 @@ from motorlens_physics.estimate.weighed import (
     begun,
     from_noise,
     gained,
-    gained_as_run,
+    gained_in_both,
     minimised,
     needed,
 )
@@ -84,31 +84,15 @@ class Timing:
         runs = as_they_ran(point, self.prior)
         if all(one is run for one, run in zip(runs, point.runs, strict=True)):
             return point
-        ways = [runs]
-        if _lates(runs) != _lates(point.runs):
-            # One step away, that inputs hold may look as if all were late besides.
-            ways.append(
-                tuple(run.holding(one.inputs.hold) for run, one in zip(point.runs, runs, strict=True))
-            )
-        best, most = point, 0.0
-        for way in ways:
-            other, gain = self._run_as(point, way)
-            if gain > most:
-                best, most = other, gain
-        return best
-
-    def _run_as(self, point: Weighed, runs: Sequence[Run]) -> tuple[Weighed, float]:
-        """The point near the best parameters of runs that ran otherwise, and what that gains beyond chance."""
         none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
         held = tuple(run.inputs.hold for run in runs)
-        least = needed(1) if _lates(runs) != _lates(point.runs) else 0.0
+        late = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
         # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
         for start in (point.model.with_values(none), self.begin):
             other = self.near(replace(start, held=held), runs)
-            gain = gained_as_run(point, other, self.prior) - least
-            if gain > 0:
-                break
-        return other, gain
+            if gained_in_both(point, other, self.prior) > (needed(1) if late else 0.0):
+                return other
+        return point
 
     def _later(self, point: Weighed) -> Weighed:
         """With the channel moved that is late beyond chance, if any is."""
@@ -133,8 +117,3 @@ class Timing:
     def _minimised(self, point: Weighed) -> Weighed:
         # While parameters are wrong, a large error is theirs, and every sample counts.
         return minimised(point, self.prior, self.progress, outliers=False)[0]
-
-
-def _lates(runs: Sequence[Run]) -> list[dict[str, int]]:
-    """By how many samples the channels of each run were moved."""
-    return [dict(run.late) for run in runs]

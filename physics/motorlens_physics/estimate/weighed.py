@@ -387,23 +387,9 @@ def gained(point: Weighed, other: Weighed, prior: Prior) -> float:
     return won / point.tempered().inflation
 
 
-def gained_as_run(point: Weighed, other: Weighed, prior: Prior) -> float:
-    """By how much less a point explains than another, of the same runs whose inputs ran otherwise between their samples.
-
-    Twice a logarithm, as `gained`, but the noise of the inputs goes through each motor as its inputs ran: held and linear
-    inputs let through other noise, and each would look best in its own frame. How probable the noise is, is left out: it
-    would prefer inputs that run smoothly, whether or not they did. Both are looked at under the noise of the first, and what
-    is won must be beyond what is not known of that: squares of N values are known within sqrt(2 N).
-    """
-    won = prior.penalty(point.model.values()) - prior.penalty(other.model.values())
-    values = 0
-    for a, b in zip(point.parts, other.parts, strict=True):
-        later = tuple(b.run.late.get(c, 0) - a.run.late.get(c, 0) for c in a.run.channels)
-        here = replace(a, used=a.run.there & moved_on(b.run.there, later))
-        there = replace(b, noise=a.noise, used=b.run.there & moved_on(a.run.there, [-n for n in later]))
-        won += here.squares() - there.squares()
-        values += int(np.sum(here.used))
-    return won / point.tempered().inflation - float(np.sqrt(2 * values))
+def gained_in_both(point: Weighed, other: Weighed, prior: Prior) -> float:
+    """The same in the mean of both frames: where inputs ran otherwise a fit bends, and looks best in its own."""
+    return 0.5 * (gained(point, other, prior) - gained(other, point, prior))
 
 
 def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
