@@ -69,7 +69,15 @@ def correct(layout: Layout) -> Program:
             (jump, (share <= 0.5) * (1.0 - near), near, share * (1.0 - leave) / before),
         )
     )
-    odds = (before / (1.0 - before)).log() + (changing.log - still.log) * believed
+    # That a rest foretells more narrowly than a rotor that slides counts at every window, and that it errs by more counts
+    # against it. Where rounding or colour is stated larger than what single windows show of it, no window would err, and
+    # whoever slides steadily would come to rest: there errors count in terms of what innovations have been. Nothing is
+    # stated larger than by rounding, that stays for `lasts` windows (see `signals`). Elsewhere the narrower one is the load
+    # that stands still: it is left at that.
+    lasts = 2 * pace / layout.period
+    as_stated = (memory["restless"] + 1.0).max(1 / lasts).min(1.0)
+    errs_less = (still.surprise - changing.surprise) * (near * (0.5 / as_stated - 0.5))
+    odds = (before / (1.0 - before)).log() + (changing.log - still.log + errs_less) * believed
     odds = odds.max(-MOST_ODDS).min(MOST_ODDS)
     share = probability(odds)
 
