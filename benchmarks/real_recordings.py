@@ -141,7 +141,9 @@ def emps(folder: Path) -> None:
             models.append(Path(place) / f"{effect}.toml")
             words = ["--motor", str(models[-2]), "--fit", str(half), "-o", str(models[-1])]
             if motorlens(["add", effect, *words]) != 0:
-                return
+                print(f"emps, the first half alone does not support {effect}", flush=True)
+                models.pop()
+                break
         told = ((model.stem, _force_off(read_motor_file(model), rows)) for model in models[1:])
         for name, share in told:
             print(
