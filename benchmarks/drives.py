@@ -9,7 +9,7 @@ Each recording is drawn from its seed alone: a motor up to 30 % from its file in
 of noise on every channel, a temperature or none, no converter or one of 12 bit; where the drive is one start, also a brake.
 The motors come from an integrator of its own (`tests/helpers/plain_motor.py`). Printed is, by kind of drive, how many
 calibrations converge, in how many how the voltage ran is told right, and how far the parameters are off that are identified:
-one beyond four of its deviations is confidently wrong.
+one that converges with one of them beyond four of its deviations is confidently wrong.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """How large the largest hypothesis gets where nothing is missing, and what a model leaves: see `criteria.py`.
 
-    python benchmarks/null.py --count 200 --seed 1 -o null.jsonl
+    python benchmarks/null.py --count 200 --seed 1
 
 Worlds of the hidden-effect simulator (another plant, other code), small recordings, nothing hidden; motor, noise, converter,
 excitation and channels drawn as in the blind benchmark. Printed are the quantiles of the weight of the heaviest hypothesis
@@ -115,7 +115,7 @@ def main() -> int:
     )
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("-o", "--output", type=Path, default=Path("null.jsonl"))
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/null.jsonl"))
     args = parser.parse_args()
     rows = [json.loads(line) for line in args.output.read_text().splitlines()] if args.output.exists() else []
     done = {row["id"] for row in rows}

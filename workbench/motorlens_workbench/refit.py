@@ -86,7 +86,7 @@ def anew(fitted: Fitted, reached: Weighed | None = None) -> Fitted | None:
 
 
 def nearly(fitted: Fitted) -> Weighed | None:
-    """How `anew` begins, but that inputs run as they do: near the best parameters, as far as pieces of recordings tell."""
+    """Near the best parameters as far as pieces of long recordings tell, as `anew` begins; inputs run as in the fit."""
     begin, runs = _beginning(fitted)
     try:
         return near(runs, fitted.prior, replace(begin, held=fitted.model.held), free=False)

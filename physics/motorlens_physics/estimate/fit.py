@@ -124,7 +124,8 @@ def minimise(
         progress: told how far there is to go.
 
     Returns:
-        the last point, J^T J there with the prior's (k, k), and how far from the minimum it is.
+        the last point, or the one before if that is close enough and no step gets shorter, J^T J there with the prior's
+        (k, k), and how far from the minimum it is.
 
     Raises:
         ModelError: the way leads where nothing can be simulated.
@@ -133,7 +134,7 @@ def minimise(
     point = begin
     scale = np.array([prior.sd[key] for key in keys])
     gram, left = np.diag(1 / scale**2), float("inf")
-    last_end, whole, share, swings = (point, gram, left), np.zeros(len(keys)), 1.0, False
+    before, whole, share, swings = (point, gram, left), np.zeros(len(keys)), 1.0, False
 
     def tried(step: Array) -> tuple[P | None, float]:
         """Where a step leads, and what it costs there as the point it starts from sees it."""
@@ -155,14 +156,14 @@ def minimise(
         left = _length(whole, gram)
         if left < enough:
             break
-        if last_end[2] <= min(left, CONVERGED):
-            return last_end
+        if before[2] <= min(left, CONVERGED):
+            return before
         # What `between` found is a step old: where the minimum moves with it, steps swing about the end and get no shorter.
-        if last_end[2] <= left and not swings:
+        if before[2] <= left and not swings:
             swings, point = True, anew(point)
             gram, gradient, cost, whole = _seen(point, prior)
             left = _length(whole, gram)
-        last_end = point, gram, left
+        before = point, gram, left
         share = _share(share, last, whole, gram)
         moved, fresh = False, False
         for _ in range(TRIES):

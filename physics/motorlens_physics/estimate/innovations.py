@@ -326,6 +326,26 @@ def _interval(error, power, step):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _columns_ahead(each, matrices, keeps, k, G, z, ahead):  # type: ignore[no-untyped-def]
+    """The columns z of states and disturbances, from sample k - 1 to k."""
+    n, count, width = len(each), G.shape[1], z.shape[1]
+    for r in range(n):
+        for m in range(width):
+            total = 0.0
+            for q in range(n):
+                total += matrices[k - 1, r, q] * z[q, m]
+            for d in range(count):
+                total += G[r, d] * z[n + d, m]
+            ahead[r, m] = total
+    for r in range(n):
+        for m in range(width):
+            z[r, m] = ahead[r, m]
+    for d in range(count):
+        for m in range(width):
+            z[n + d, m] *= keeps[k - 1, d]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _filter(  # type: ignore[no-untyped-def]
     each,
     matrices,
@@ -355,20 +375,7 @@ def _filter(  # type: ignore[no-untyped-def]
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
             _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
-            for r in range(n):
-                for m in range(width):
-                    total = 0.0
-                    for q in range(n):
-                        total += matrices[k - 1, r, q] * z[q, m]
-                    for d in range(count):
-                        total += G[r, d] * z[n + d, m]
-                    ahead[r, m] = total
-            for r in range(n):
-                for m in range(width):
-                    z[r, m] = ahead[r, m]
-            for d in range(count):
-                for m in range(width):
-                    z[n + d, m] *= keeps[k - 1, d]
+            _columns_ahead(each, matrices, keeps, k, G, z, ahead)
         for c in range(channels):
             h = shows[c]
             if not noise[k, c] < np.inf:
@@ -433,20 +440,7 @@ def _filter_on(  # type: ignore[no-untyped-def]
         k = begin + row
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            for r in range(n):
-                for m in range(width):
-                    total = 0.0
-                    for q in range(n):
-                        total += matrices[k - 1, r, q] * z[q, m]
-                    for d in range(count):
-                        total += G[r, d] * z[n + d, m]
-                    ahead[r, m] = total
-            for r in range(n):
-                for m in range(width):
-                    z[r, m] = ahead[r, m]
-            for d in range(count):
-                for m in range(width):
-                    z[n + d, m] *= keeps[k - 1, d]
+            _columns_ahead(each, matrices, keeps, k, G, z, ahead)
         for c in range(channels):
             h, root = shows[c], scale[k, c]
             if not root < np.inf:

@@ -112,8 +112,9 @@ def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]
         yield from (scaled({free[0].name: factor}) for factor in (0.3, 1.0, 3.0))
         # What one friction of the motor has built up at is that of another in its place.
         for other in file.motor.effects:
-            if free[0].role == "width" and free[0].name in other.parameters():
-                yield (replace(typical, **{free[0].name: getattr(other, free[0].name)}),)
+            width = other.parameters().get(free[0].name)
+            if free[0].role == "width" and width is not None and width.role == "width":
+                yield (replace(typical, **{width.name: getattr(other, width.name)}),)
     else:
         last = free[-1].name
         for scale in (0.2, 1.0, 5.0):
