@@ -46,11 +46,14 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="run nothing, write the documents")
     arguments = parser.parse_args()
     table = studies()
+    word = (arguments.only or "").lower()
+    if not any(word in study["title"].lower() for study in table["study"]):
+        parser.error(f"no study of measured.toml has '{arguments.only}' in its title")
     store: dict[str, Entry] = json.loads(STORE.read_text(encoding="utf-8")) if STORE.exists() else {}
     failed = False
     for study in table["study"]:
         chosen = study["minutes"] <= QUICK_MINUTES or not arguments.quick
-        chosen = chosen and (arguments.only is None or arguments.only.lower() in study["title"].lower())
+        chosen = chosen and word in study["title"].lower()
         if chosen and not arguments.write:
             store[study["title"]] = entry = measured(study)
             failed |= entry["status"] != 0
