@@ -1,7 +1,9 @@
 """How the inputs of a recording ran between its samples: held by a drive, or linearly, each of its own.
 
 Also whether all channels come a sample earlier or later, which looks much alike. The way is chosen that makes the recording
-likeliest.
+likeliest, beside inputs that have lost their noise. Along the inputs as recorded that way looks likelier which averages more
+of their noise, whichever is true: the noise is independent of what drove the motor, not of what was recorded (Carroll,
+Ruppert, Stefanski and Crainiceanu 2006, Measurement Error in Nonlinear Models, doi:10.1201/9781420010138, chapter 2).
 """
 
 from collections.abc import Sequence
@@ -9,17 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from motorlens_physics.estimate.model import sensitivities_of
+from motorlens_physics.estimate.model import Model, sensitivities_of
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Weighed, moved_on, needed
+from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed, without_noise
 
 
 def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
     """The runs with their inputs held between samples, or not, and all channels a sample earlier or later: as is likeliest.
 
-    Each way is judged at its own best parameters, one step away, see `weighed.Frame`. A run that stays as it was is the same
-    object.
+    A run that stays as it was is the same object.
     """
     chosen, inflation = [], point.tempered().inflation
     for r, part in enumerate(point.parts):
@@ -47,6 +48,23 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
     return tuple(chosen)
 
 
+def likelier(point: Weighed, other: Weighed, prior: Prior) -> float:
+    """Twice the gain in logarithmic likelihood from one point to another of the same runs, whose inputs ran otherwise.
+
+    In the mean under the noise of the one and of the other.
+    """
+
+    def cost(here: Weighed, like: Weighed) -> float:
+        parts = []
+        for r, (own, part) in enumerate(zip(here.parts, like.parts, strict=True)):
+            moves = tuple(own.run.late.get(c, 0) - part.run.late.get(c, 0) for c in own.run.channels)
+            parts += _seen(here.model, own.run, r, part, prior, own.mine, [moves])
+        return _at_best(here.model, parts, prior)
+
+    won = [cost(point, like) - cost(other, like) for like in (point, other)]
+    return float(np.mean(won)) / point.tempered().inflation
+
+
 def _moved(run: Run, samples: int) -> Run:
     for channel in run.channels:
         run = run if channel == "temperature" else run.delayed(channel, samples)
@@ -62,33 +80,53 @@ def _costs(
     *,
     straight: bool,
 ) -> dict[int, float]:
-    """Twice the negative logarithmic likelihood of a run whose inputs ran this way, by how many samples it was late.
+    """What a run costs whose inputs ran this way, by how many samples all of it was late.
 
     Without skews (`straight`), which would make up for a voltage that ran otherwise.
     """
     part = point.parts[r]
     mine = tuple(k for k in part.mine if not (straight and prior.keys[k].startswith("skew.")))
-    keys = [prior.keys[k] for k in mine]
     none = {f"{name}@{r}": 0.0 for name in point.model.own[r] if name.startswith("skew.")}
     held = tuple(hold if k == r else h for k, h in enumerate(point.model.held))
     model = replace(point.model, held=held).with_values(none)
-    values = model.values()
-    run, frame = part.run.holding(hold), point.frames[r]
-    _, shown, columns, _ = sensitivities_of(model, run, r, keys)
-    width = np.array([prior.sd[key] for key in keys])
-    off = np.array([values[key] - prior.centre[key] for key in keys]) / width
-    costs = {}
-    for samples in late:
-        moves = tuple(0 if channel == "temperature" else samples for channel in run.channels)
-        # The same samples count in all.
-        used = run.there.copy()
-        used[[0, -1]] = False
-        later = moved_on(shown, moves)
-        error = frame.error(run.measured - later)
-        of = replace(
-            part, columns=moved_on(columns, moves), mine=mine, frame=frame, used=used, error=error
-        ).sums(1)
-        score = of.scores.sum(axis=0) - off / width
-        step = np.linalg.lstsq(of.gram + np.diag(width**-2.0), score, rcond=1e-12)[0]
-        costs[samples] = of.squares + float(off @ off) - float(score @ step)
-    return costs
+    moves = [tuple(0 if c == "temperature" else samples for c in part.run.channels) for samples in late]
+    seen = _seen(model, part.run.holding(hold), r, part, prior, mine, moves)
+    return {samples: _at_best(model, [one], prior) for samples, one in zip(late, seen, strict=True)}
+
+
+def _seen(
+    model: Model,
+    run: Run,
+    r: int,
+    like: Errors,
+    prior: Prior,
+    mine: tuple[int, ...],
+    moves: Sequence[tuple[int, ...]],
+) -> list[Errors]:
+    """A run beside its inputs without noise, under the noise of `like`, as what is shown moves by so many samples to it."""
+    quiet = without_noise(run, like.noise)
+    _, shown, columns, _ = sensitivities_of(model, quiet, r, [prior.keys[k] for k in mine])
+    # The same samples count in all.
+    used = like.run.there.copy()
+    used[[0, -1]] = False
+    return [
+        replace(
+            like,
+            columns=moved_on(columns, by),
+            mine=mine,
+            used=used,
+            error=like.run.measured - moved_on(shown, by),
+        )
+        for by in moves
+    ]
+
+
+def _at_best(model: Model, parts: Sequence[Errors], prior: Prior) -> float:
+    """Twice the negative logarithmic likelihood at the best parameters, one step away, with what is known beforehand."""
+    point, values = Weighed(model, tuple(parts), len(prior.keys)), model.values()
+    width = np.array([prior.sd[key] for key in prior.keys])
+    off = np.array([values[key] - prior.centre[key] for key in prior.keys]) / width
+    gram, score = point.normal()
+    score = score - off / width
+    step = np.linalg.lstsq(gram + np.diag(width**-2.0), score, rcond=1e-12)[0]
+    return point.cost + float(off @ off) - float(score @ step)

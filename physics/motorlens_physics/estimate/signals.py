@@ -1,20 +1,18 @@
-"""How noisy a signal is, and the signal without its noise, its steps kept.
-
-Each sample is replaced by the value at the end of a line through as many samples to its left, and to its right, as are
-compatible with one line: local polynomials with the intersection of confidence intervals, Katkovnik (1999),
-doi:10.1109/78.782208; one-sided windows keep steps, Katkovnik, Egiazarian and Astola (2006), ISBN 978-0-8194-6042-1.
-"""
+"""How noisy a signal is, and the signal without its noise, its steps kept."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 
-WINDOWS = (1, 3, 5, 9, 17, 33, 65, 129, 257, 513)
-# Half width of a confidence interval, in standard deviations. Narrow: what smoothing leaves of the noise is known and
-# allowed for, what it takes from the signal is not.
-CONFIDENCE = 1.5
+# How often a signal is taken to jump anywhere where it does not.
+CHANCE = 0.01
+# Samples of the shortest signal that is smoothed.
+SHORTEST = 8
+# Variance of a slope that nothing is known of, in those of the noise.
+ANY_SLOPE = 1e12
 # Samples in a piece of a coarsely converted signal; within how many steps, or deviations of its noise, it is steady;
 # how many such pieces are needed.
 STEADY, WITHIN, APART, FEWEST = 16, 3.0, 8.0, 8
@@ -105,46 +103,89 @@ def _before_conversion(toggling: float, step: float) -> float:
 def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
     """(N,) evenly sampled, without its noise and that of a converter of this `step`; steps stay where they are.
 
+    Fixed-interval smoother of a level whose slope wanders as a random walk (Durbin and Koopman 2012,
+    doi:10.1093/acprof:oso/9780199641178.001.0001, chapter 3), a cubic spline where samples are many. How fast the slope
+    wanders is told by generalised cross-validation (Craven and Wahba 1978, doi:10.1007/BF01404567); where a sample is
+    farther from what is expected than chance would have it in the whole signal, the level begins anew.
+
     Args:
         y: (N,) evenly sampled.
         step: least significant bit of its converter, 0 if it looks continuous.
         sd: standard deviation of all its noise, if known.
+
+    >>> time, noise = np.arange(4000) / 1000, np.random.default_rng(0).standard_normal(4000)
+    >>> jumps = np.where(time < 2, 0.0, 100.0) + 50 * np.sin(time)
+    >>> bool(np.std(smoothed(jumps + noise, sd=1.0) - jumps) < 0.2)
+    True
     """
     if sd is None:
         sd = float(np.hypot(noise_sd(y, step), step / np.sqrt(12)))
-    if sd <= 0 or len(y) < 2 * WINDOWS[4]:
+    if sd <= 0 or len(y) < SHORTEST:
         return y.copy()
-    right, right_variance = _one_sided(y, sd)
-    left, left_variance = _one_sided(y[::-1], sd)
-    left, left_variance = left[::-1], left_variance[::-1]
-    weight = left_variance / (left_variance + right_variance)
-    return np.asarray(weight * right + (1 - weight) * left)
-
-
-def _one_sided(y: Array, sd: float) -> tuple[Array, Array]:
-    """Value at each sample of the longest believable line to its right, and its variance in units of sd^2."""
-    sums = np.concatenate([[0.0], np.cumsum(y)])
-    moments = np.concatenate([[0.0], np.cumsum(np.arange(len(y)) * y)])
-    value, variance = y.copy(), np.ones(len(y))
-    _longest_line(sums, moments, CONFIDENCE * sd, np.array(WINDOWS[1:]), value, variance)
-    return value, variance
+    z, jump = y / sd, float(chdtri(1, CHANCE / len(y)))
+    # Of a settled smoother: the walk's variance in a sample over the noise's is that number of samples to the power -4 which
+    # it averages.
+    walks = 2.0 ** (-4 * np.arange(np.log2(len(y) / 4)))
+    # A slope that changes at once is taken for a jump a few samples late, by the same number both ways.
+    ways = [
+        (_trend(z, walk, far), _trend(z[::-1].copy(), walk, far))
+        for walk in walks.tolist()
+        for far in (jump, np.inf)
+    ]
+    ahead, back = min(ways, key=lambda one: one[0][1] + one[1][1])
+    return np.asarray(0.5 * sd * (ahead[0] + back[0][::-1]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _longest_line(sums, moments, width, windows, value, variance):  # type: ignore[no-untyped-def]
-    for t in range(len(value)):
-        low, high = value[t] - width, value[t] + width
-        for h in windows:
-            if t + h > len(value):
-                break
-            total = sums[t + h] - sums[t]
-            first = moments[t + h] - moments[t] - t * total
-            here = (2 * (2 * h - 1) * total - 6 * first) / (h * (h + 1))
-            share = 2 * (2 * h - 1) / (h * (h + 1))
-            low, high = max(low, here - width * np.sqrt(share)), min(high, here + width * np.sqrt(share))
-            if low > high:
-                break
-            value[t], variance[t] = here, share
+def _trend(z, walk, jump):  # type: ignore[no-untyped-def]
+    """The level (N,) of samples with unit noise, and the error by generalised cross-validation.
+
+    Where a squared innovation exceeds `jump` of its variances the level begins anew.
+    """
+    samples = len(z)
+    state, covariance, anew = np.zeros((samples, 2)), np.zeros((samples, 3)), np.zeros(samples, np.bool_)
+    level, slope, a, b, c = z[0], 0.0, 1.0, 0.0, ANY_SLOPE
+    state[0, 0], covariance[0, 0], covariance[0, 2] = level, a, c
+    for k in range(1, samples):
+        level += slope
+        a, b, c = a + 2 * b + c, b + c, c + walk
+        error, scale = z[k] - level, a + 1.0
+        anew[k] = error * error > jump * scale
+        if anew[k]:
+            level, slope, a, b, c = z[k], 0.0, 1.0, 0.0, ANY_SLOPE
+        else:
+            of_level, of_slope = a / scale, b / scale
+            level, slope = level + of_level * error, slope + of_slope * error
+            a, b, c = of_level, of_slope, c - of_slope * b
+        state[k, 0], state[k, 1] = level, slope
+        covariance[k, 0], covariance[k, 1], covariance[k, 2] = a, b, c
+
+    # Backwards (Rauch, Tung and Striebel 1965, doi:10.2514/3.3166), with the variances d, e, f of level and slope.
+    out = state[:, 0].copy()
+    d, e, f = a, b, c
+    squares, own = (z[-1] - level) ** 2, d
+    for k in range(samples - 2, -1, -1):
+        before, rise = state[k]
+        a, b, c = covariance[k]
+        if anew[k + 1]:
+            # What comes after tells nothing of it.
+            level, slope, d, e, f = before, rise, a, b, c
+        else:
+            p, q, r = a + 2 * b + c, b + c, c + walk
+            size = p * r - q * q
+            g, h = ((a + b) * r - b * q) / size, (b * p - (a + b) * q) / size
+            u, v = ((b + c) * r - c * q) / size, (c * p - (b + c) * q) / size
+            more, steeper = level - before - rise, slope - rise
+            level, slope = before + g * more + h * steeper, rise + u * more + v * steeper
+            p, q, r = d - p, e - q, f - r
+            d = a + g * g * p + 2 * g * h * q + h * h * r
+            e = b + g * u * p + (g * v + h * u) * q + h * v * r
+            f = c + u * u * p + 2 * u * v * q + v * v * r
+        out[k] = level
+        squares += (z[k] - level) ** 2
+        # The variance of a level, in those of the noise, is the share that its own sample has in it.
+        own += d
+    return out, squares / (1.0 - own / samples) ** 2
 
 
 def level_of(time_s: Array, y: Array, fastest_s: float) -> Array:

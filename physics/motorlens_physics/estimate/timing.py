@@ -7,7 +7,7 @@ only where that holds.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from motorlens_physics.estimate.between_samples import as_they_ran
+from motorlens_physics.estimate.between_samples import as_they_ran, likelier
 from motorlens_physics.estimate.delays import likeliest_lag, nearer, realigned
 from motorlens_physics.estimate.fit import NEAR, fit
 from motorlens_physics.estimate.model import Model
@@ -19,7 +19,6 @@ from motorlens_physics.estimate.weighed import (
     begun,
     from_noise,
     gained,
-    gained_in_both,
     minimised,
     needed,
 )
@@ -90,7 +89,7 @@ class Timing:
         # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
         for start in (point.model.with_values(none), self.begin):
             other = self.near(replace(start, held=held), runs)
-            if gained_in_both(point, other, self.prior) > (needed(1) if late else 0.0):
+            if likelier(point, other, self.prior) > (needed(1) if late else 0.0):
                 return other
         return point
 

@@ -162,6 +162,11 @@ def _shown(run: Run) -> Array:
     return np.column_stack([run.inputs.voltage_V, run.inputs.load_torque_Nm])
 
 
+def without_noise(run: Run, noise: Noise) -> Run:
+    """The run with its inputs corrected by what shows in them alone."""
+    return _corrected(run, noise, _shown(run))
+
+
 def _corrected(run: Run, noise: Noise, expected: Array) -> Run:
     """The run with its inputs corrected to what was expected (N, 2) of them, smoothed."""
     power = noise.all_of(run)[None]
@@ -387,11 +392,6 @@ def gained(point: Weighed, other: Weighed, prior: Prior) -> float:
     return won / point.tempered().inflation
 
 
-def gained_in_both(point: Weighed, other: Weighed, prior: Prior) -> float:
-    """The same in the mean of both frames: where inputs ran otherwise a fit bends, and looks best in its own."""
-    return 0.5 * (gained(point, other, prior) - gained(other, point, prior))
-
-
 def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
     """(N, C, ...) with each channel moved later by some samples; what comes in at an end is 0."""
     if not any(samples):
@@ -425,6 +425,6 @@ def from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise], prior
         for run, found in zip(runs, noises, strict=True)
     ]
     # At first by what shows in the inputs alone.
-    runs = [_corrected(run, noise, _shown(run)) for run, noise in zip(runs, noises, strict=True)]
+    runs = [without_noise(run, noise) for run, noise in zip(runs, noises, strict=True)]
     point = weighed(model, runs, noises, [run.there for run in runs], ())
     return at(model, noisier(point, 0), prior)
