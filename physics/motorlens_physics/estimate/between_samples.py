@@ -8,13 +8,29 @@ Ruppert, Stefanski and Crainiceanu 2006, Measurement Error in Nonlinear Models, 
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_physics.estimate.model import Model, sensitivities_of
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed, without_noise
+
+Array = NDArray[np.float64]
+
+
+class End(NamedTuple):
+    """Where one step leads.
+
+    Attributes:
+        cost: twice the negative logarithmic likelihood there, with what is known beforehand.
+        step: (k,) of the prior's keys.
+    """
+
+    cost: float
+    step: Array
 
 
 def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
@@ -28,7 +44,7 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
         ways = {
             (held, moved): cost
             for held in (False, True)
-            for moved, cost in _costs(
+            for moved, (cost, _) in _ends(
                 point, prior, r, (held, held, ambient), (-1, 0, 1), straight=True
             ).items()
         }
@@ -40,7 +56,7 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
         load = held
         if measured and not moved:
             alike, other = (
-                _costs(point, prior, r, (held, one, ambient), (0,), straight=False)[0]
+                _ends(point, prior, r, (held, one, ambient), (0,), straight=False)[0].cost
                 for one in (held, not held)
             )
             load = not held if (alike - other) / inflation > needed(1) else held
@@ -59,10 +75,41 @@ def likelier(point: Weighed, other: Weighed, prior: Prior) -> float:
         for r, (own, part) in enumerate(zip(here.parts, like.parts, strict=True)):
             moves = tuple(own.run.late.get(c, 0) - part.run.late.get(c, 0) for c in own.run.channels)
             parts += _seen(here.model, own.run, r, part, prior, own.mine, [moves])
-        return _at_best(here.model, parts, prior)
+        return _at_best(here.model, parts, prior).cost
 
     won = [cost(point, like) - cost(other, like) for like in (point, other)]
     return float(np.mean(won)) / point.tempered().inflation
+
+
+def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
+    """What is left open by how inputs ran where a recording does not tell it.
+
+    A smooth drive that holds and one that runs linearly half a sample later are nearly the same, but for the parameters.
+
+    Args:
+        point: the best parameters.
+        prior: the free parameters.
+
+    Returns:
+        per run, the probability that voltage or load torque ran otherwise than at the point.
+        (k, k) covariance of `prior.keys` to be added: of the parameters that each way leads to, one step away, as likely as
+        it is.
+    """
+    inflation = point.tempered().inflation
+    chances, spread = [], np.zeros((len(prior.keys), len(prior.keys)))
+    for r, part in enumerate(point.parts):
+        voltage, load, ambient = point.model.held[r]
+        ways = {(voltage, load), (not voltage, not load)}
+        if "load_torque" in part.run.known:
+            ways |= {(not voltage, load), (voltage, not load)}
+        ends = {way: _ends(point, prior, r, (*way, ambient), (0,), straight=False)[0] for way in ways}
+        cost, step = ends.pop((voltage, load))
+        odds = {way: np.exp(min(cost - end.cost, 0.0) / (2 * inflation)) for way, end in ends.items()}
+        total = 1.0 + sum(odds.values())
+        chances.append(float(1.0 - 1.0 / total))
+        for way, end in ends.items():
+            spread += odds[way] / total * np.outer(end.step - step, end.step - step)
+    return tuple(chances), spread
 
 
 def _moved(run: Run, samples: int) -> Run:
@@ -71,7 +118,7 @@ def _moved(run: Run, samples: int) -> Run:
     return run
 
 
-def _costs(
+def _ends(
     point: Weighed,
     prior: Prior,
     r: int,
@@ -79,14 +126,14 @@ def _costs(
     late: Sequence[int],
     *,
     straight: bool,
-) -> dict[int, float]:
-    """What a run costs whose inputs ran this way, by how many samples all of it was late.
+) -> dict[int, End]:
+    """Where a run leads whose inputs ran this way, by how many samples all of it was late.
 
     Without skews (`straight`), which would make up for a voltage that ran otherwise.
     """
     part = point.parts[r]
     mine = tuple(k for k in part.mine if not (straight and prior.keys[k].startswith("skew.")))
-    none = {f"{name}@{r}": 0.0 for name in point.model.own[r] if name.startswith("skew.")}
+    none = {f"{name}@{r}": 0.0 for name in point.model.own[r] if straight and name.startswith("skew.")}
     held = tuple(hold if k == r else h for k, h in enumerate(point.model.held))
     model = replace(point.model, held=held).with_values(none)
     moves = [tuple(0 if c == "temperature" else samples for c in part.run.channels) for samples in late]
@@ -121,12 +168,12 @@ def _seen(
     ]
 
 
-def _at_best(model: Model, parts: Sequence[Errors], prior: Prior) -> float:
-    """Twice the negative logarithmic likelihood at the best parameters, one step away, with what is known beforehand."""
+def _at_best(model: Model, parts: Sequence[Errors], prior: Prior) -> End:
+    """The best parameters of parts, one step away."""
     point, values = Weighed(model, tuple(parts), len(prior.keys)), model.values()
     width = np.array([prior.sd[key] for key in prior.keys])
     off = np.array([values[key] - prior.centre[key] for key in prior.keys]) / width
     gram, score = point.normal()
     score = score - off / width
     step = np.linalg.lstsq(gram + np.diag(width**-2.0), score, rcond=1e-12)[0]
-    return point.cost + float(off @ off) - float(score @ step)
+    return End(point.cost + float(off @ off) - float(score @ step), step)

@@ -13,6 +13,7 @@ from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.prior import Prior, around, base_prior
 from motorlens_physics.estimate.report import Findings, correlation, findings
 from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.weighed import CHANCE
 from motorlens_physics.make import believed, led_away, of_recordings
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
@@ -81,6 +82,16 @@ class Calibration:
         return tuple(way[0] for way in self.estimate.fit.model.held)
 
     @property
+    def not_told(self) -> tuple[str, ...]:
+        """Of which recordings it is open how the inputs ran between samples, in words."""
+        return tuple(
+            f"{run.name}: that its inputs {'held' if held else 'ran linearly'} between samples is not told: with "
+            f"probability {chance:.2g} they did not; the deviations allow for that"
+            for run, held, chance in zip(self.runs, self.held, self.estimate.otherwise, strict=False)
+            if chance > CHANCE
+        )
+
+    @property
     def own(self) -> tuple[Mapping[str, float], ...]:
         """Of each recording, its start and what else is its own, see `model.Model`."""
         return self.estimate.fit.model.own
@@ -123,6 +134,7 @@ class Calibration:
             ],
             "load_torque_Nm": loads,
             "between_rows": ["hold" if held else "linear" for held in self.held],
+            "between_rows_otherwise": list(self.estimate.otherwise),
             "delays": [
                 {"recording": d.recording, "channel": d.channel, "value_s": d.value_s, "sd_s": d.sd_s}
                 for d in self.delays

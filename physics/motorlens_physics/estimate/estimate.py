@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from motorlens_physics.estimate.between_samples import otherwise
 from motorlens_physics.estimate.fit import CONVERGED, Fit, inverse, start_model
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise import PIECE
@@ -59,12 +60,15 @@ class Estimate:
         runs: the recordings with their noise and their corrected inputs, delays taken out.
         converged: whether what was left to go is small against the standard deviations.
         outliers: samples left out because no noise explains them.
+        otherwise: per run, the probability that voltage or load torque did not run between samples as they were taken to;
+            empty where how they ran was given. What it leaves open is in the covariance.
     """
 
     fit: Fit
     runs: tuple[Run, ...]
     converged: bool
     outliers: int
+    otherwise: tuple[float, ...] = ()
 
 
 def estimate(
@@ -99,6 +103,11 @@ def estimate(
     )
     point, gram, left = _tempered(point, prior, progress)
     found = _concluded(point, prior, gram, left)
+    if held is None:
+        chances, spread = otherwise(point, prior)
+        found = replace(
+            found, fit=replace(found.fit, covariance=found.fit.covariance + spread), otherwise=chances
+        )
     said = findings(found.fit)
     if said.told and said.untold and _shifted(found, said):
         found = _put_back(found, point, said, progress)
