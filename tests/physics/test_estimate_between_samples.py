@@ -49,7 +49,7 @@ def fitted(kind: str, held: bool, seed: int) -> Estimate:
 def test_how_the_voltage_ran_is_told_where_it_turns_at_once(kind: str, held: bool) -> None:
     for seed in (1, 2):
         found = fitted(kind, held, seed)
-        assert found.fit.model.held[0][0] == held and found.otherwise[0] < 0.01
+        assert found.fit.model.held[0][0] == held and found.otherwise[0] < 0.05
 
 
 @pytest.mark.fit

@@ -237,7 +237,11 @@ def _put_back(found: Estimate, end: Weighed, said: Findings, progress: Callable[
     )[0]
     again, gram, left = minimised(near, rest, progress, outliers=True)
     other = _concluded(again, rest, gram, left)
-    return replace(other, fit=replace(other.fit, prior=prior, covariance=found.fit.covariance))
+    return replace(
+        other,
+        fit=replace(other.fit, prior=prior, covariance=found.fit.covariance),
+        otherwise=found.otherwise,
+    )
 
 
 def _with_more(

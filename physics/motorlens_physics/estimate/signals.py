@@ -3,16 +3,21 @@
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 
-# How often a signal is taken to jump anywhere where it does not.
-CHANCE = 0.01
-# Samples of the shortest signal that is smoothed.
-SHORTEST = 8
-# Variance of a slope that nothing is known of, in those of the noise.
-ANY_SLOPE = 1e12
+# Samples of the shortest signal that is smoothed; the logarithm to base 2 of the fewest samples that are averaged.
+SHORTEST, FASTEST = 8, -2
+# Rounds of expectation and maximisation: the variance of a level that does not step is halved in each. What it begins with,
+# in variances of the noise.
+ROUNDS, STEPS = 10, 0.01
+# Squared errors beyond this many deviations of the noise count little; the median of the squares beyond which another sample
+# tells no more of a signal than its own, that of errors of sqrt(2) deviations: 2 * chi2(1).median().
+FAR, NOT_FORETOLD = 3.0, 0.91
+# How fast a long signal wanders is told from so many stretches of so many samples.
+LOOKS, LOOK = 4, 2048
+# Variance of a level and a slope that nothing is known of, in those of the noise.
+ANY = 1e10
 # Samples in a piece of a coarsely converted signal; within how many steps, or deviations of its noise, it is steady;
 # how many such pieces are needed.
 STEADY, WITHIN, APART, FEWEST = 16, 3.0, 8.0, 8
@@ -101,12 +106,13 @@ def _before_conversion(toggling: float, step: float) -> float:
 
 
 def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
-    """(N,) evenly sampled, without its noise and that of a converter of this `step`; steps stay where they are.
+    """(N,) evenly sampled, without its noise and that of a converter of this `step`; what turns or steps at once does so.
 
-    Fixed-interval smoother of a level whose slope wanders as a random walk (Durbin and Koopman 2012,
-    doi:10.1093/acprof:oso/9780199641178.001.0001, chapter 3), a cubic spline where samples are many. How fast the slope
-    wanders is told by generalised cross-validation (Craven and Wahba 1978, doi:10.1007/BF01404567); where a sample is
-    farther from what is expected than chance would have it in the whole signal, the level begins anew.
+    Fixed-interval smoother of a level whose slope wanders as a random walk, a cubic spline where samples are many (Durbin
+    and Koopman 2012, doi:10.1093/acprof:oso/9780199641178.001.0001, chapters 3 and 4): either evenly, or with steps of the
+    walk from heavy tails, Cauchy's for the slope, and of the level as well, by expectation and maximisation (Lange, Little
+    and Taylor 1989, doi:10.1080/01621459.1989.10478852). Which, and how fast, is told by how well every other sample
+    foretells the samples between (cross-validation); a signal that is not foretold at all is left as it is.
 
     Args:
         y: (N,) evenly sampled.
@@ -114,78 +120,71 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
         sd: standard deviation of all its noise, if known.
 
     >>> time, noise = np.arange(4000) / 1000, np.random.default_rng(0).standard_normal(4000)
-    >>> jumps = np.where(time < 2, 0.0, 100.0) + 50 * np.sin(time)
-    >>> bool(np.std(smoothed(jumps + noise, sd=1.0) - jumps) < 0.2)
+    >>> steep = np.where(time < 2, 0.0, 100.0) + 50 * np.abs(np.sin(time))
+    >>> bool(np.std(smoothed(steep + noise, sd=1.0) - steep) < 0.2)
     True
     """
     if sd is None:
         sd = float(np.hypot(noise_sd(y, step), step / np.sqrt(12)))
     if sd <= 0 or len(y) < SHORTEST:
         return y.copy()
-    z, jump = y / sd, float(chdtri(1, CHANCE / len(y)))
+    z = y / sd
     # Of a settled smoother: the walk's variance in a sample over the noise's is that number of samples to the power -4 which
     # it averages.
-    walks = 2.0 ** (-4 * np.arange(np.log2(len(y) / 4)))
-    # A slope that changes at once is taken for a jump a few samples late, by the same number both ways.
-    ways = [
-        (_trend(z, walk, far), _trend(z[::-1].copy(), walk, far))
-        for walk in walks.tolist()
-        for far in (jump, np.inf)
+    walks = 2.0 ** (-4 * np.arange(FASTEST, np.log2(len(z) / 4)))
+    ways = [(walk, rounds) for walk in walks.tolist() for rounds in (1, ROUNDS)]
+    begins = np.linspace(0, len(z) - LOOK, LOOKS).astype(int) if len(z) > LOOKS * LOOK else [0]
+    looks = [z[begin : begin + LOOK] if len(begins) > 1 else z for begin in begins]
+    squares = [
+        np.concatenate([(look - _trend(look, walk, rounds, 2))[1::2] for look in looks]) ** 2
+        for walk, rounds in ways
     ]
-    ahead, back = min(ways, key=lambda one: one[0][1] + one[1][1])
-    return np.asarray(0.5 * sd * (ahead[0] + back[0][::-1]))
+    # Where it steps, a sample may be of either level.
+    best = int(np.argmin([np.sum(np.log1p(one / FAR**2)) for one in squares]))
+    return y.copy() if np.median(squares[best]) > NOT_FORETOLD else sd * _trend(z, *ways[best], 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _trend(z, walk, jump):  # type: ignore[no-untyped-def]
-    """The level (N,) of samples with unit noise, and the error by generalised cross-validation.
+def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
+    """The level (N,) of samples with unit noise, of which `every` so-manieth counts.
 
-    Where a squared innovation exceeds `jump` of its variances the level begins anew.
+    A round is a filter forwards, and backwards the smoothed disturbances with their variances. Of more than one, each puts
+    in the place of the variances of the walk and of the level what is expected of them.
     """
     samples = len(z)
-    state, covariance, anew = np.zeros((samples, 2)), np.zeros((samples, 3)), np.zeros(samples, np.bool_)
-    level, slope, a, b, c = z[0], 0.0, 1.0, 0.0, ANY_SLOPE
-    state[0, 0], covariance[0, 0], covariance[0, 2] = level, a, c
-    for k in range(1, samples):
-        level += slope
-        a, b, c = a + 2 * b + c, b + c, c + walk
-        error, scale = z[k] - level, a + 1.0
-        anew[k] = error * error > jump * scale
-        if anew[k]:
-            level, slope, a, b, c = z[k], 0.0, 1.0, 0.0, ANY_SLOPE
-        else:
-            of_level, of_slope = a / scale, b / scale
-            level, slope = level + of_level * error, slope + of_slope * error
-            a, b, c = of_level, of_slope, c - of_slope * b
-        state[k, 0], state[k, 1] = level, slope
-        covariance[k, 0], covariance[k, 1], covariance[k, 2] = a, b, c
-
-    # Backwards (Rauch, Tung and Striebel 1965, doi:10.2514/3.3166), with the variances d, e, f of level and slope.
-    out = state[:, 0].copy()
-    d, e, f = a, b, c
-    squares, own = (z[-1] - level) ** 2, d
-    for k in range(samples - 2, -1, -1):
-        before, rise = state[k]
-        a, b, c = covariance[k]
-        if anew[k + 1]:
-            # What comes after tells nothing of it.
-            level, slope, d, e, f = before, rise, a, b, c
-        else:
-            p, q, r = a + 2 * b + c, b + c, c + walk
-            size = p * r - q * q
-            g, h = ((a + b) * r - b * q) / size, (b * p - (a + b) * q) / size
-            u, v = ((b + c) * r - c * q) / size, (c * p - (b + c) * q) / size
-            more, steeper = level - before - rise, slope - rise
-            level, slope = before + g * more + h * steeper, rise + u * more + v * steeper
-            p, q, r = d - p, e - q, f - r
-            d = a + g * g * p + 2 * g * h * q + h * h * r
-            e = b + g * u * p + (g * v + h * u) * q + h * v * r
-            f = c + u * u * p + 2 * u * v * q + v * v * r
-        out[k] = level
-        squares += (z[k] - level) ** 2
-        # The variance of a level, in those of the noise, is the share that its own sample has in it.
-        own += d
-    return out, squares / (1.0 - own / samples) ** 2
+    of_slope, of_level = np.full(samples, walk), np.full(samples, STEPS if rounds > 1 else 0.0)
+    before, error, out = np.empty((samples, 3)), np.empty(samples), np.empty(samples)
+    for still in range(rounds - 1, -1, -1):
+        level, slope = z[0], 0.0
+        # Variances of level and slope, and between them, given the samples before.
+        a, b, c = ANY, 0.0, ANY
+        for k in range(samples):
+            before[k, 0], before[k, 1], before[k, 2] = a, b, c
+            out[k], error[k] = level, z[k] - level
+            if k % every == 0:
+                gain, turn = a / (a + 1.0), b / (a + 1.0)
+                level, slope = level + gain * error[k], slope + turn * error[k]
+                a, b, c = gain, turn, c - turn * b
+            level += slope
+            a, b, c = a + 2 * b + c + of_level[k], b + c, c + of_slope[k]
+        # Scores of level and slope, and their variances, given the samples after.
+        r, s, rr, rs, ss = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(samples - 1, -1, -1):
+            if still:
+                of_level[k] = 0.5 * ((of_level[k] * r) ** 2 + of_level[k] - of_level[k] ** 2 * rr)
+                of_slope[k] = 0.5 * (walk + (of_slope[k] * s) ** 2 + of_slope[k] - of_slope[k] ** 2 * ss)
+            a, b, _ = before[k]
+            counts = 1.0 / (a + 1.0) if k % every == 0 else 0.0
+            # What the level and the slope after this sample keep of the level before it.
+            keep, turn = 1.0 - (a + b) * counts, -b * counts
+            r, s = counts * error[k] + keep * r + turn * s, r + s
+            rr, rs, ss = (
+                counts + keep * keep * rr + 2 * keep * turn * rs + turn * turn * ss,
+                keep * (rr + rs) + turn * (rs + ss),
+                rr + 2 * rs + ss,
+            )
+            out[k] += a * r + b * s
+    return out
 
 
 def level_of(time_s: Array, y: Array, fastest_s: float) -> Array:
