@@ -88,3 +88,9 @@ def test_what_smoothing_leaves_of_noise(signal: np.ndarray, most: float, sd: flo
     assert np.std(left) < most * sd
     # The share of the noise that is left in the signal, not the signal's own error.
     assert -0.01 < left @ noise / (noise @ noise) < most
+
+
+def test_a_signal_that_wanders_from_sample_to_sample_is_left_as_it_is() -> None:
+    rng = np.random.default_rng(3)
+    signal = 10 * rng.standard_normal(3000)
+    assert np.std(smoothed(signal, sd=0.5) - signal) < 0.05 * 0.5

@@ -1,9 +1,10 @@
 """How the inputs of a recording ran between its samples: held by a drive, or linearly, each of its own.
 
 Also whether all channels come a sample earlier or later, which looks much alike. The way is chosen that makes the recording
-likeliest, beside inputs that have lost their noise. Along the inputs as recorded that way looks likelier which averages more
-of their noise, whichever is true: the noise is independent of what drove the motor, not of what was recorded (Carroll,
-Ruppert, Stefanski and Crainiceanu 2006, Measurement Error in Nonlinear Models, doi:10.1201/9781420010138, chapter 2).
+likeliest, beside inputs that have lost their noise, less what the noise adds that they have kept. Along the inputs as
+recorded that way looks likelier which averages more of their noise, whichever is true: the noise is independent of what
+drove the motor, not of what was recorded (Carroll, Ruppert, Stefanski and Crainiceanu 2006, Measurement Error in Nonlinear
+Models, doi:10.1201/9781420010138, chapter 2).
 """
 
 from collections.abc import Sequence
@@ -13,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.model import Model, sensitivities_of
+from motorlens_physics.estimate.innovations import in_blocks
+from motorlens_physics.estimate.model import Model, response_to_inputs, sensitivities_of
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed, without_noise
+from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed, noise_left, without_noise
 
 Array = NDArray[np.float64]
 
@@ -27,10 +29,30 @@ class End(NamedTuple):
     Attributes:
         cost: twice the negative logarithmic likelihood there, with what is known beforehand.
         step: (k,) of the prior's keys.
+        left: what noise that inputs have kept adds to the innovations, as it may be.
     """
 
     cost: float
     step: Array
+    left: Array
+
+
+class Seen(NamedTuple):
+    """A run beside its inputs without noise.
+
+    Attributes:
+        errors: of it.
+        left: (N, C) what noise that the inputs have kept adds to what is shown, as it may be.
+    """
+
+    errors: Errors
+    left: Array
+
+    def left_white(self) -> Array:
+        """(N, C) what it adds to the innovations."""
+        seen = self.errors.read
+        (white,) = in_blocks(seen.space, seen.filtered, self.left[:, :, None], [slice(0, len(self.left))])
+        return white[:, :, 0]
 
 
 def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
@@ -44,7 +66,7 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
         ways = {
             (held, moved): cost
             for held in (False, True)
-            for moved, (cost, _) in _ends(
+            for moved, (cost, _, _) in _ends(
                 point, prior, r, (held, held, ambient), (-1, 0, 1), straight=True
             ).items()
         }
@@ -71,7 +93,7 @@ def likelier(point: Weighed, other: Weighed, prior: Prior) -> float:
     """
 
     def cost(here: Weighed, like: Weighed) -> float:
-        parts = []
+        parts: list[Seen] = []
         for r, (own, part) in enumerate(zip(here.parts, like.parts, strict=True)):
             moves = tuple(own.run.late.get(c, 0) - part.run.late.get(c, 0) for c in own.run.channels)
             parts += _seen(here.model, own.run, r, part, prior, own.mine, [moves])
@@ -103,12 +125,18 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         if "load_torque" in part.run.known:
             ways |= {(not voltage, load), (voltage, not load)}
         ends = {way: _ends(point, prior, r, (*way, ambient), (0,), straight=False)[0] for way in ways}
-        cost, step = ends.pop((voltage, load))
-        odds = {way: np.exp(min(cost - end.cost, 0.0) / (2 * inflation)) for way, end in ends.items()}
-        total = 1.0 + sum(odds.values())
-        chances.append(float(1.0 - 1.0 / total))
-        for way, end in ends.items():
-            spread += odds[way] / total * np.outer(end.step - step, end.step - step)
+        here = ends.pop((voltage, load))
+        odds = []
+        for end in ends.values():
+            # Noise that inputs have kept scatters half the difference by this deviation; the mean of logistic curves that
+            # scatter so is nearly another one (MacKay 1992, doi:10.1162/neco.1992.4.5.720).
+            scatter = np.pi / 8 * float(np.sum((end.left - here.left) ** 2)) / inflation
+            gain = (here.cost - end.cost) / (2 * inflation)
+            odds.append(float(np.exp(min(gain, 0.0) / np.sqrt(1.0 + scatter))))
+        total = 1.0 + sum(odds)
+        chances.append(1.0 - 1.0 / total)
+        for odd, end in zip(odds, ends.values(), strict=True):
+            spread += odd / total * np.outer(end.step - here.step, end.step - here.step)
     return tuple(chances), spread
 
 
@@ -149,31 +177,39 @@ def _seen(
     prior: Prior,
     mine: tuple[int, ...],
     moves: Sequence[tuple[int, ...]],
-) -> list[Errors]:
+) -> list[Seen]:
     """A run beside its inputs without noise, under the noise of `like`, as what is shown moves by so many samples to it."""
     quiet = without_noise(run, like.noise)
-    _, shown, columns, _ = sensitivities_of(model, quiet, r, [prior.keys[k] for k in mine])
+    _, shown, columns, linear = sensitivities_of(model, quiet, r, [prior.keys[k] for k in mine])
+    # One draw stands for the mean: the same for every way.
+    draws = np.random.default_rng(0).standard_normal((len(shown), 2))
+    left = response_to_inputs(model, quiet, r, linear, *noise_left(quiet, like.noise, draws).T)
     # The same samples count in all.
     used = like.run.there.copy()
     used[[0, -1]] = False
     return [
-        replace(
-            like,
-            columns=moved_on(columns, by),
-            mine=mine,
-            used=used,
-            error=like.run.measured - moved_on(shown, by),
+        Seen(
+            replace(
+                like,
+                columns=moved_on(columns, by),
+                mine=mine,
+                used=used,
+                error=like.run.measured - moved_on(shown, by),
+            ),
+            moved_on(left, by),
         )
         for by in moves
     ]
 
 
-def _at_best(model: Model, parts: Sequence[Errors], prior: Prior) -> End:
-    """The best parameters of parts, one step away."""
-    point, values = Weighed(model, tuple(parts), len(prior.keys)), model.values()
+def _at_best(model: Model, seen: Sequence[Seen], prior: Prior) -> End:
+    """The best parameters of runs, one step away."""
+    point, values = Weighed(model, tuple(one.errors for one in seen), len(prior.keys)), model.values()
     width = np.array([prior.sd[key] for key in prior.keys])
     off = np.array([values[key] - prior.centre[key] for key in prior.keys]) / width
     gram, score = point.normal()
     score = score - off / width
     step = np.linalg.lstsq(gram + np.diag(width**-2.0), score, rcond=1e-12)[0]
-    return End(point.cost + float(off @ off) - float(score @ step), step)
+    left = np.concatenate([one.left_white().ravel() for one in seen])
+    cost = point.cost + float(off @ off) - float(score @ step) - float(left @ left)
+    return End(cost, step, left)

@@ -11,9 +11,9 @@ SHORTEST, FASTEST = 8, -2
 # Rounds of expectation and maximisation: the variance of a level that does not step is halved in each. What it begins with,
 # in variances of the noise.
 ROUNDS, STEPS = 10, 0.01
-# Squared errors beyond this many deviations of the noise count little; the median of the squares beyond which another sample
-# tells no more of a signal than its own, that of errors of sqrt(2) deviations: 2 * chi2(1).median().
-FAR, NOT_FORETOLD = 3.0, 0.91
+# Squared errors beyond this many deviations of the noise count little; the median of the squares of errors of sqrt(2)
+# deviations, 2 chi2(1).median().
+FAR, FORETOLD = 3.0, 0.91
 # How fast a long signal wanders is told from so many stretches of so many samples.
 LOOKS, LOOK = 4, 2048
 # Variance of a level and a slope that nothing is known of, in those of the noise.
@@ -112,7 +112,9 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
     and Koopman 2012, doi:10.1093/acprof:oso/9780199641178.001.0001, chapters 3 and 4): either evenly, or with steps of the
     walk from heavy tails, Cauchy's for the slope, and of the level as well, by expectation and maximisation (Lange, Little
     and Taylor 1989, doi:10.1080/01621459.1989.10478852). Which, and how fast, is told by how well every other sample
-    foretells the samples between (cross-validation); a signal that is not foretold at all is left as it is.
+    foretells the samples between; if evenly, how fast by generalised cross-validation (Craven and Wahba 1978,
+    doi:10.1007/BF01404567). A signal whose samples foretell the next no better than those tell themselves, with errors of
+    sqrt(2) deviations of the noise, is left as it is.
 
     Args:
         y: (N,) evenly sampled.
@@ -131,22 +133,30 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
     z = y / sd
     # Of a settled smoother: the walk's variance in a sample over the noise's is that number of samples to the power -4 which
     # it averages.
-    walks = 2.0 ** (-4 * np.arange(FASTEST, np.log2(len(z) / 4)))
-    ways = [(walk, rounds) for walk in walks.tolist() for rounds in (1, ROUNDS)]
+    walks = (2.0 ** (-4 * np.arange(FASTEST, np.log2(len(z) / 4)))).tolist()
     begins = np.linspace(0, len(z) - LOOK, LOOKS).astype(int) if len(z) > LOOKS * LOOK else [0]
     looks = [z[begin : begin + LOOK] if len(begins) > 1 else z for begin in begins]
-    squares = [
-        np.concatenate([(look - _trend(look, walk, rounds, 2))[1::2] for look in looks]) ** 2
-        for walk, rounds in ways
-    ]
+
+    def foretold(walk: float, rounds: int) -> Array:
+        return np.concatenate([(look - _trend(look, walk, rounds, 2)[0])[1::2] for look in looks]) ** 2
+
+    even, uneven = ([foretold(walk, rounds) for walk in walks] for rounds in (1, ROUNDS))
     # Where it steps, a sample may be of either level.
-    best = int(np.argmin([np.sum(np.log1p(one / FAR**2)) for one in squares]))
-    return y.copy() if np.median(squares[best]) > NOT_FORETOLD else sd * _trend(z, *ways[best], 1)
+    losses = [[float(np.sum(np.log1p(squares / FAR**2))) for squares in way] for way in (even, uneven)]
+    best = int(np.argmin(losses[1]))
+    if losses[1][best] < min(losses[0]) and np.median(uneven[best]) < FORETOLD:
+        return np.asarray(sd * _trend(z, walks[best], ROUNDS, 1)[0])
+    # Of what is linear in the samples, all of them tell.
+    errors = [float(np.mean([_trend(look, walk, 1, 1)[1] for look in looks])) for walk in walks]
+    best = int(np.argmin(errors))
+    return y.copy() if errors[best] > 2 else np.asarray(sd * _trend(z, walks[best], 1, 1)[0])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
-    """The level (N,) of samples with unit noise, of which `every` so-manieth counts.
+    """The level (N,) of samples with unit noise, of which `every` so-manieth counts, and its squared error for others.
+
+    That is by generalised cross-validation, from each sample's share in its own level.
 
     A round is a filter forwards, and backwards the smoothed disturbances with their variances. Of more than one, each puts
     in the place of the variances of the walk and of the level what is expected of them.
@@ -169,6 +179,7 @@ def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
             a, b, c = a + 2 * b + c + of_level[k], b + c, c + of_slope[k]
         # Scores of level and slope, and their variances, given the samples after.
         r, s, rr, rs, ss = 0.0, 0.0, 0.0, 0.0, 0.0
+        squares, others = 0.0, 0.0
         for k in range(samples - 1, -1, -1):
             if still:
                 of_level[k] = 0.5 * ((of_level[k] * r) ** 2 + of_level[k] - of_level[k] ** 2 * rr)
@@ -177,6 +188,7 @@ def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
             counts = 1.0 / (a + 1.0) if k % every == 0 else 0.0
             # What the level and the slope after this sample keep of the level before it.
             keep, turn = 1.0 - (a + b) * counts, -b * counts
+            others += counts + (1.0 - keep) ** 2 * rr - 2 * (1.0 - keep) * turn * rs + turn * turn * ss
             r, s = counts * error[k] + keep * r + turn * s, r + s
             rr, rs, ss = (
                 counts + keep * keep * rr + 2 * keep * turn * rs + turn * turn * ss,
@@ -184,7 +196,8 @@ def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
                 rr + 2 * rs + ss,
             )
             out[k] += a * r + b * s
-    return out
+            squares += (z[k] - out[k]) ** 2
+    return out, samples * squares / others**2
 
 
 def level_of(time_s: Array, y: Array, fastest_s: float) -> Array:
