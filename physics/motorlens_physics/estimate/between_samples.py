@@ -55,33 +55,36 @@ class Seen(NamedTuple):
         return white[:, :, 0]
 
 
-def as_they_ran(point: Weighed, prior: Prior) -> tuple[Run, ...]:
-    """The runs with their inputs held between samples, or not, and all channels a sample earlier or later: as is likeliest.
+def as_they_ran(point: Weighed, prior: Prior, late: Sequence[int]) -> tuple[Run, ...]:
+    """The runs with their inputs held between samples, or not, and all channels later by some samples: as is likeliest.
 
     A run that stays as it was is the same object.
+
+    Args:
+        point: near the best parameters of one way.
+        prior: the free parameters.
+        late: by how many samples all channels may be late, 0 among them.
     """
     chosen, inflation = [], point.tempered().inflation
     for r, part in enumerate(point.parts):
         measured, ambient = "load_torque" in part.run.known, part.run.inputs.hold[2]
-        ways = {
-            (held, moved): cost
+        ends = {
+            (held, moved): end
             for held in (False, True)
-            for moved, (cost, _, _) in _ends(
-                point, prior, r, (held, held, ambient), (-1, 0, 1), straight=True
-            ).items()
+            for moved, end in _ends(point, prior, r, (held, held, ambient), late, straight=True).items()
         }
-        held, moved = min(ways, key=lambda way: ways[way])
-        here = min(ways[way, 0] for way in (False, True))
+        held, moved = min(ends, key=lambda way: ends[way].cost)
+        here = min((ends[way, 0] for way in (False, True)), key=lambda end: end.cost)
         # That all is late is one thing more than how inputs ran, and that they did not run alike is another.
-        if (here - ways[held, moved]) / inflation <= needed(len(ways)):
-            held, moved = min(ways, key=lambda way: (way[1] != 0, ways[way]))
+        if _won(here, ends[held, moved], inflation) <= needed(len(ends)):
+            held, moved = min(ends, key=lambda way: (way[1] != 0, ends[way].cost))
         load = held
         if measured and not moved:
             alike, other = (
-                _ends(point, prior, r, (held, one, ambient), (0,), straight=False)[0].cost
+                _ends(point, prior, r, (held, one, ambient), (0,), straight=False)[0]
                 for one in (held, not held)
             )
-            load = not held if (alike - other) / inflation > needed(1) else held
+            load = not held if _won(alike, other, inflation) > needed(1) else held
         chosen.append(_moved(part.run.holding((held, load, ambient)), moved))
     return tuple(chosen)
 
@@ -92,15 +95,25 @@ def likelier(point: Weighed, other: Weighed, prior: Prior) -> float:
     In the mean under the noise of the one and of the other.
     """
 
-    def cost(here: Weighed, like: Weighed) -> float:
+    def end(here: Weighed, like: Weighed) -> End:
         parts: list[Seen] = []
         for r, (own, part) in enumerate(zip(here.parts, like.parts, strict=True)):
             moves = tuple(own.run.late.get(c, 0) - part.run.late.get(c, 0) for c in own.run.channels)
             parts += _seen(here.model, own.run, r, part, prior, own.mine, [moves])
-        return _at_best(here.model, parts, prior).cost
+        return _at_best(here.model, parts, prior)
 
-    won = [cost(point, like) - cost(other, like) for like in (point, other)]
-    return float(np.mean(won)) / point.tempered().inflation
+    inflation = point.tempered().inflation
+    return float(np.mean([_won(end(point, like), end(other, like), inflation) for like in (point, other)]))
+
+
+def _won(here: End, other: End, inflation: float) -> float:
+    """Twice the gain in logarithmic likelihood from one end to another, as far as noise that inputs have kept lets it be.
+
+    That noise scatters half the gain. The mean of logistic curves that scatter so is nearly another one (MacKay 1992, The
+    Evidence Framework Applied to Classification Networks, doi:10.1162/neco.1992.4.5.720).
+    """
+    scatter = np.pi / 8 * float(np.sum((other.left - here.left) ** 2)) / inflation
+    return (here.cost - other.cost) / inflation / float(np.sqrt(1.0 + scatter))
 
 
 def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
@@ -126,13 +139,7 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
             ways |= {(not voltage, load), (voltage, not load)}
         ends = {way: _ends(point, prior, r, (*way, ambient), (0,), straight=False)[0] for way in ways}
         here = ends.pop((voltage, load))
-        odds = []
-        for end in ends.values():
-            # Noise that inputs have kept scatters half the difference by this deviation; the mean of logistic curves that
-            # scatter so is nearly another one (MacKay 1992, doi:10.1162/neco.1992.4.5.720).
-            scatter = np.pi / 8 * float(np.sum((end.left - here.left) ** 2)) / inflation
-            gain = (here.cost - end.cost) / (2 * inflation)
-            odds.append(float(np.exp(min(gain, 0.0) / np.sqrt(1.0 + scatter))))
+        odds = [float(np.exp(0.5 * min(_won(here, end, inflation), 0.0))) for end in ends.values()]
         total = 1.0 + sum(odds)
         chances.append(1.0 - 1.0 / total)
         for odd, end in zip(odds, ends.values(), strict=True):

@@ -80,17 +80,19 @@ class Timing:
         return moved(point, self.prior, self.progress)
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
-        runs = as_they_ran(point, self.prior)
-        if all(one is run for one, run in zip(runs, point.runs, strict=True)):
-            return point
-        none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
-        held = tuple(run.inputs.hold for run in runs)
-        late = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
-        # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
-        for start in (point.model.with_values(none), self.begin):
-            other = self.near(replace(start, held=held), runs)
-            if likelier(point, other, self.prior) > (needed(1) if late else 0.0):
-                return other
+        # That inputs hold looks as if all were late by a part of a sample, and is asked first.
+        for late in ((0,), (-1, 0, 1)):
+            runs = as_they_ran(point, self.prior, late)
+            if all(one is run for one, run in zip(runs, point.runs, strict=True)):
+                continue
+            none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
+            held = tuple(run.inputs.hold for run in runs)
+            more = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
+            # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
+            for start in (point.model.with_values(none), self.begin):
+                other = self.near(replace(start, held=held), runs)
+                if likelier(point, other, self.prior) > (needed(1) if more else 0.0):
+                    return other
         return point
 
     def _later(self, point: Weighed) -> Weighed:
