@@ -73,6 +73,10 @@ def test_coulomb_friction_is_found_with_its_size(rough):
     # Without an hour of heating, hysteresis (which also heats) brakes exactly like Coulomb friction.
     assert {"coulomb_friction"} <= set(document["groups"][0]) <= {"coulomb_friction", "hysteresis_iron_loss"}
     assert document["equation"] == "mechanical"
+    # Which of them was fitted makes neither likelier.
+    likely = {entry["name"]: entry["probability"] for entry in document["candidates"]}
+    assert likely["coulomb_friction"] == pytest.approx(likely["hysteresis_iron_loss"], abs=0.1)
+    assert likely["coulomb_friction"] + likely["hysteresis_iron_loss"] > 0.95
     name = document["chosen"][0]
     size = next(iter(next(e for e in document["candidates"] if e["name"] == name)["parameters"].values()))
     assert size["value"] == pytest.approx(0.3, abs=4 * size["sd"] + 0.01)

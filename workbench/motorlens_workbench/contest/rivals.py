@@ -53,12 +53,11 @@ def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
     itself = own_score(here.book, here.fitted, accepted.hypothesis)
     if itself is None:
         return Rivals(name, {name: 1.0}, scores)
-    # What the model leaves out lets rivals differ by a share of what the accepted one explains. Its own column is per
-    # standard deviation of its prior, that of a rival per typical size.
+    # What the model leaves out lets rivals differ by a share of what the accepted one explains.
     scatter = (itself.scatter + CRITERIA.alike * itself.gain) * CRITERIA.tempered
-    unit = prior.sd[key] / abs(accepted.hypothesis.typical)
-    entry = replace(itself.entry, hypothesis=accepted.hypothesis)
-    scores[name] = replace(itself, entry=entry, information=itself.information / unit**2)
+    # Its own column is per standard deviation of its prior, that of a rival per typical size.
+    typical = itself.in_units(abs(accepted.hypothesis.typical) / prior.sd[key])
+    scores[name] = replace(typical, entry=replace(itself.entry, hypothesis=accepted.hypothesis))
     # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival.
     weights = {
         other: log_bayes_factor(score, scatter)

@@ -84,6 +84,17 @@ class Score:
             doubt=self.doubt + doubt,
         )
 
+    def in_units(self, unit: float) -> "Score":
+        """With its size in units of so many of those of its columns."""
+        return replace(
+            self,
+            coefficient=self.coefficient / unit,
+            covariance=self.covariance / unit**2,
+            information=self.information * unit**2,
+            rests=self.rests * unit,
+            inverse=self.inverse / unit**2,
+        )
+
     def winning(self, gain: float) -> "Score":
         """With no more gain than this."""
         gain = float(np.clip(gain, 0.0, self.gain))
