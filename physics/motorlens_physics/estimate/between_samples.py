@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.innovations import in_blocks
 from motorlens_physics.estimate.model import Model, response_to_inputs, sensitivities_of
+from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed, noise_left, without_noise
@@ -55,38 +56,60 @@ class Seen(NamedTuple):
         return white[:, :, 0]
 
 
-def as_they_ran(point: Weighed, prior: Prior, late: Sequence[int]) -> tuple[Run, ...]:
-    """The runs with their inputs held between samples, or not, and all channels later by some samples: as is likeliest.
+class Quiet(NamedTuple):
+    """Inputs of a run without noise.
+
+    Attributes:
+        corrections: (N, 2) of voltage and load torque.
+        left: (N, 2) what they have kept of the noise, as it may be.
+    """
+
+    corrections: Array
+    left: Array
+
+
+def as_they_ran(point: Weighed, prior: Prior) -> tuple[tuple[Run, ...], ...]:
+    """The runs with inputs that held between samples, or not, as is likeliest; and with all a sample later or earlier.
 
     A run that stays as it was is the same object.
 
     Args:
         point: near the best parameters of one way.
         prior: the free parameters.
-        late: by how many samples all channels may be late, 0 among them.
+
+    Returns:
+        the runs as they are likeliest with no channel moved, and with channels moved if that is likelier beyond chance.
     """
-    chosen, inflation = [], point.tempered().inflation
-    for r, part in enumerate(point.parts):
-        measured, ambient = "load_torque" in part.run.known, part.run.inputs.hold[2]
-        ends = {
-            (held, moved): end
-            for held in (False, True)
-            for moved, end in _ends(point, prior, r, (held, held, ambient), late, straight=True).items()
-        }
-        held, moved = min(ends, key=lambda way: ends[way].cost)
-        here = min((ends[way, 0] for way in (False, True)), key=lambda end: end.cost)
-        # That all is late is one thing more than how inputs ran, and that they did not run alike is another.
-        if _won(here, ends[held, moved], inflation) <= needed(len(ends)):
-            held, moved = min(ends, key=lambda way: (way[1] != 0, ends[way].cost))
-        load = held
-        if measured and not moved:
-            alike, other = (
-                _ends(point, prior, r, (held, one, ambient), (0,), straight=False)[0]
-                for one in (held, not held)
-            )
-            load = not held if _won(alike, other, inflation) > needed(1) else held
-        chosen.append(_moved(part.run.holding((held, load, ambient)), moved))
-    return tuple(chosen)
+    ways = [_ways_of(point, prior, r) for r in range(len(point.parts))]
+    return tuple(zip(*ways, strict=True))
+
+
+def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
+    """One run as it is likeliest without its channels moved, and with."""
+    part, inflation = point.parts[r], point.tempered().inflation
+    quiet, ambient = _quiet(part.run, part.noise), part.run.inputs.hold[2]
+    ends = {
+        (held, moved): end
+        for held in (False, True)
+        for moved, end in _ends(
+            point, prior, r, quiet, (held, held, ambient), (-1, 0, 1), straight=True
+        ).items()
+    }
+    held = min((False, True), key=lambda held: ends[held, 0].cost)
+    load = held
+    # That inputs did not run alike is one thing more.
+    if "load_torque" in part.run.known:
+        alike, other = (
+            _ends(point, prior, r, quiet, (held, one, ambient), (0,), straight=False)[0]
+            for one in (held, not held)
+        )
+        load = not held if _won(alike, other, inflation) > needed(1) else held
+    still = part.run.holding((held, load, ambient))
+    way = min(ends, key=lambda way: ends[way].cost)
+    # That all is late is one thing more than how inputs ran.
+    if _won(ends[held, 0], ends[way], inflation) <= needed(len(ends)):
+        return still, still
+    return still, _moved(part.run.holding((way[0], way[0], ambient)), way[1])
 
 
 def likelier(point: Weighed, other: Weighed, prior: Prior) -> float:
@@ -94,16 +117,21 @@ def likelier(point: Weighed, other: Weighed, prior: Prior) -> float:
 
     In the mean under the noise of the one and of the other.
     """
+    won = []
+    for like in (point, other):
+        quiet = [_quiet(part.run, part.noise) for part in like.parts]
+        before, after = (_end_under(like, quiet, here, prior) for here in (point, other))
+        won.append(_won(before, after, point.tempered().inflation))
+    return float(np.mean(won))
 
-    def end(here: Weighed, like: Weighed) -> End:
-        parts: list[Seen] = []
-        for r, (own, part) in enumerate(zip(here.parts, like.parts, strict=True)):
-            moves = tuple(own.run.late.get(c, 0) - part.run.late.get(c, 0) for c in own.run.channels)
-            parts += _seen(here.model, own.run, r, part, prior, own.mine, [moves])
-        return _at_best(here.model, parts, prior)
 
-    inflation = point.tempered().inflation
-    return float(np.mean([_won(end(point, like), end(other, like), inflation) for like in (point, other)]))
+def _end_under(like: Weighed, quiet: Sequence[Quiet], point: Weighed, prior: Prior) -> End:
+    """Where a point leads under the noise of another one of the same runs, which has its channels elsewhere."""
+    parts: list[Seen] = []
+    for r, (own, part) in enumerate(zip(point.parts, like.parts, strict=True)):
+        moves = tuple(own.run.late.get(c, 0) - part.run.late.get(c, 0) for c in own.run.channels)
+        parts += _seen(point.model, own.run, r, part, quiet[r], prior, own.mine, [moves])
+    return _at_best(point.model, parts, prior)
 
 
 def _won(here: End, other: End, inflation: float) -> float:
@@ -137,7 +165,8 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         ways = {(voltage, load), (not voltage, not load)}
         if "load_torque" in part.run.known:
             ways |= {(not voltage, load), (voltage, not load)}
-        ends = {way: _ends(point, prior, r, (*way, ambient), (0,), straight=False)[0] for way in ways}
+        quiet = _quiet(part.run, part.noise)
+        ends = {way: _ends(point, prior, r, quiet, (*way, ambient), (0,), straight=False)[0] for way in ways}
         here = ends.pop((voltage, load))
         odds = [float(np.exp(0.5 * min(_won(here, end, inflation), 0.0))) for end in ends.values()]
         total = 1.0 + sum(odds)
@@ -145,6 +174,14 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         for odd, end in zip(odds, ends.values(), strict=True):
             spread += odd / total * np.outer(end.step - here.step, end.step - here.step)
     return tuple(chances), spread
+
+
+def _quiet(run: Run, noise: Noise) -> Quiet:
+    quiet = without_noise(run, noise)
+    # One draw stands for the mean, the same for every way.
+    draws = np.random.default_rng(0).standard_normal((len(run.measured), 2))
+    left = noise_left(quiet, noise, draws)
+    return Quiet(np.zeros_like(left) if quiet.corrections is None else quiet.corrections, left)
 
 
 def _moved(run: Run, samples: int) -> Run:
@@ -157,6 +194,7 @@ def _ends(
     point: Weighed,
     prior: Prior,
     r: int,
+    quiet: Quiet,
     hold: tuple[bool, bool, bool],
     late: Sequence[int],
     *,
@@ -172,7 +210,7 @@ def _ends(
     held = tuple(hold if k == r else h for k, h in enumerate(point.model.held))
     model = replace(point.model, held=held).with_values(none)
     moves = [tuple(0 if c == "temperature" else samples for c in part.run.channels) for samples in late]
-    seen = _seen(model, part.run.holding(hold), r, part, prior, mine, moves)
+    seen = _seen(model, part.run.holding(hold), r, part, quiet, prior, mine, moves)
     return {samples: _at_best(model, [one], prior) for samples, one in zip(late, seen, strict=True)}
 
 
@@ -181,16 +219,15 @@ def _seen(
     run: Run,
     r: int,
     like: Errors,
+    quiet: Quiet,
     prior: Prior,
     mine: tuple[int, ...],
     moves: Sequence[tuple[int, ...]],
 ) -> list[Seen]:
     """A run beside its inputs without noise, under the noise of `like`, as what is shown moves by so many samples to it."""
-    quiet = without_noise(run, like.noise)
-    _, shown, columns, linear = sensitivities_of(model, quiet, r, [prior.keys[k] for k in mine])
-    # One draw stands for the mean: the same for every way.
-    draws = np.random.default_rng(0).standard_normal((len(shown), 2))
-    left = response_to_inputs(model, quiet, r, linear, *noise_left(quiet, like.noise, draws).T)
+    run = run.corrected(quiet.corrections)
+    _, shown, columns, linear = sensitivities_of(model, run, r, [prior.keys[k] for k in mine])
+    left = response_to_inputs(model, run, r, linear, *quiet.left.T)
     # The same samples count in all.
     used = like.run.there.copy()
     used[[0, -1]] = False

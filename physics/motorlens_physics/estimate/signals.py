@@ -15,7 +15,7 @@ ROUNDS, STEPS = 10, 0.01
 # deviations, 2 chi2(1).median().
 FAR, FORETOLD = 3.0, 0.91
 # How fast a long signal wanders is told from so many stretches of so many samples.
-LOOKS, LOOK = 4, 2048
+LOOKS, LOOK = 4, 512
 # Variance of a level and a slope that nothing is known of, in those of the noise.
 ANY = 1e10
 # Samples in a piece of a coarsely converted signal; within how many steps, or deviations of its noise, it is steady;

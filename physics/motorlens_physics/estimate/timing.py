@@ -81,8 +81,7 @@ class Timing:
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         # That inputs hold looks as if all were late by a part of a sample, and is asked first.
-        for late in ((0,), (-1, 0, 1)):
-            runs = as_they_ran(point, self.prior, late)
+        for runs in as_they_ran(point, self.prior):
             if all(one is run for one, run in zip(runs, point.runs, strict=True)):
                 continue
             none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
