@@ -137,19 +137,27 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
     begins = np.linspace(0, len(z) - LOOK, LOOKS).astype(int) if len(z) > LOOKS * LOOK else [0]
     looks = [z[begin : begin + LOOK] if len(begins) > 1 else z for begin in begins]
 
-    def foretold(walk: float, rounds: int) -> Array:
-        return np.concatenate([(look - _trend(look, walk, rounds, 2)[0])[1::2] for look in looks]) ** 2
+    def likeliest(rounds: int) -> float:
+        losses = [sum(_loss(_foretold(look, walk, rounds)) for look in looks) for walk in walks]
+        return float(walks[int(np.argmin(losses))])
 
-    even, uneven = ([foretold(walk, rounds) for walk in walks] for rounds in (1, ROUNDS))
-    # Where it steps, a sample may be of either level.
-    losses = [[float(np.sum(np.log1p(squares / FAR**2))) for squares in way] for way in (even, uneven)]
-    best = int(np.argmin(losses[1]))
-    if losses[1][best] < min(losses[0]) and np.median(uneven[best]) < FORETOLD:
-        return np.asarray(sd * _trend(z, walks[best], ROUNDS, 1)[0])
+    evenly, unevenly = likeliest(1), likeliest(ROUNDS)
+    even, uneven = _foretold(z, evenly, 1), _foretold(z, unevenly, ROUNDS)
+    if _loss(uneven) < _loss(even) and np.median(uneven) < FORETOLD:
+        return np.asarray(sd * _trend(z, unevenly, ROUNDS, 1)[0])
     # Of what is linear in the samples, all of them tell.
-    errors = [float(np.mean([_trend(look, walk, 1, 1)[1] for look in looks])) for walk in walks]
-    best = int(np.argmin(errors))
-    return y.copy() if errors[best] > 2 else np.asarray(sd * _trend(z, walks[best], 1, 1)[0])
+    level, error = min((_trend(z, walk, 1, 1) for walk in walks), key=lambda one: one[1])
+    return y.copy() if error > 2 else np.asarray(sd * level)
+
+
+def _foretold(z: Array, walk: float, rounds: int) -> Array:
+    """Squared errors of samples with unit noise, of every second one as the others foretell it."""
+    return np.asarray((z - _trend(z, walk, rounds, 2)[0])[1::2] ** 2)
+
+
+def _loss(squares: Array) -> float:
+    # Where a signal steps, a sample may be of either level.
+    return float(np.sum(np.log1p(squares / FAR**2)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
