@@ -172,7 +172,7 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         total = 1.0 + sum(odds)
         chances.append(1.0 - 1.0 / total)
         for odd, end in zip(odds, ends.values(), strict=True):
-            spread += odd / total * np.outer(end.step - here.step, end.step - here.step)
+            spread += odd / total * np.outer(end.step, end.step)
     return tuple(chances), spread
 
 
