@@ -32,8 +32,8 @@ NEAREST = 0.1
 # Closer to the minimum than this, in standard deviations of the result, a step gains less than the likelihood can tell, and
 # what the simulation's tolerance does to the cost may be as much: steps are no longer judged by it.
 FLAT = 1.0
-# A fit this close counts as converged, and ends where steps get no shorter: the inputs' corrections, smoothed in windows of
-# whole samples, move it by a tenth from one to the next.
+# A fit this close counts as converged, and ends where steps get no shorter: the inputs' corrections, smoothed over twice as
+# many samples at one step as at another, move it by a tenth.
 CONVERGED = 0.3
 # Steps with white noise, to come near.
 NEAR = 8
