@@ -179,8 +179,7 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
 def _quiet(run: Run, noise: Noise) -> Quiet:
     quiet = without_noise(run, noise)
     # One draw stands for the mean, the same for every way.
-    draws = np.random.default_rng(0).standard_normal((len(run.measured), 2))
-    left = noise_left(quiet, noise, draws)
+    left = noise_left(quiet, noise, np.random.default_rng(0))
     return Quiet(np.zeros_like(left) if quiet.corrections is None else quiet.corrections, left)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 from scipy.special import chdtri
 
 from motorlens_physics.estimate.innovations import (
@@ -158,6 +159,18 @@ class Noise:
             least=np.append(self.least, np.zeros(len(looks))),
         )
 
+    @property
+    def without_colour(self) -> "Noise":
+        """With white noise alone."""
+        kept = len(BALANCES)
+        return replace(
+            self,
+            disturbances=self.disturbances[:kept],
+            most=self.most[:kept],
+            lasts_s=self.lasts_s[:kept],
+            least=self.least[:kept],
+        )
+
     def of_input(self, run: Run, seen: Array, which: int) -> Array:
         """(N,) noise of a measured input, white and coloured and its converter's, of what was seen (N, T) of `space`."""
         own, converters = np.split(seen, [len(self.disturbances)], axis=1)
@@ -174,6 +187,25 @@ class Noise:
         variance = np.concatenate([white, [0.0], coloured, silent])
         lasts = np.concatenate([self.lasts_s[: len(BALANCES) + len(coloured)], silent])
         return replace(self, channels=np.zeros(channels), disturbances=variance, lasts_s=lasts)
+
+    def drawn(self, run: Run, rng: np.random.Generator) -> Array:
+        """(N, 2) noise of the measured inputs as it may be, evenly sampled: all that `of_input` says."""
+        white = rng.standard_normal((len(run.measured), len(self.all_of(run)))) * np.sqrt(self.all_of(run))
+        keeps = np.median(self._keeps(run), axis=0)
+        every = [
+            lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], one)
+            for keep, one in zip(keeps, white.T, strict=True)
+        ]
+        return np.column_stack([self.of_input(run, np.array(every).T, which) for which in (VOLTAGE, LOAD)])
+
+    def _keeps(self, run: Run) -> Array:
+        """(N - 1, T) share of each disturbance of `space` that remains at the next sample."""
+        return np.column_stack(
+            [
+                share_that_remains(run.inputs.time_s, self.lasts_s),
+                *(error.keeps() for error in run.converter_errors.values()),
+            ]
+        )
 
     def lasting_of_channels(self, run: Run) -> Array:
         """(C,) variance of what lasts of the sensors' own errors: coloured noise."""
@@ -203,12 +235,7 @@ class Noise:
             drifts,
             run.steps,
             np.array([hold[0], hold[1], False, *(which < 0 or hold[which] for which in of_input)]),
-            np.column_stack(
-                [
-                    share_that_remains(run.inputs.time_s, self.lasts_s),
-                    *(error.keeps() for error in run.converter_errors.values()),
-                ]
-            ),
+            self._keeps(run),
             self.all_of(run),
             np.ascontiguousarray(np.where(used, self.channels + run.steps**2 / 12, np.inf)),
             np.zeros(len(linear.states)),

@@ -167,25 +167,17 @@ def without_noise(run: Run, noise: Noise) -> Run:
     return _corrected(run, noise, _shown(run))
 
 
-def noise_left(run: Run, noise: Noise, draws: Array) -> Array:
-    """(N, 2) what smoothing leaves of noise on the inputs of a run.
-
-    Args:
-        run: with inputs that have lost their noise, see `without_noise`.
-        noise: of it.
-        draws: (N, 2) white, of unit variance.
-    """
+def noise_left(run: Run, noise: Noise, rng: np.random.Generator) -> Array:
+    """(N, 2) what smoothing leaves of noise on the inputs of a run that have lost theirs, see `without_noise`."""
     quiet, spread = _shown(run) + (0.0 if run.corrections is None else run.corrections), _spread(run, noise)
-    again = np.column_stack(
-        [smoothed(u, sd=sd) for u, sd in zip((quiet + draws * spread).T, spread, strict=True)]
-    )
-    return again - quiet
+    again = quiet + noise.drawn(run, rng)
+    return np.column_stack([smoothed(u, sd=sd) for u, sd in zip(again.T, spread, strict=True)]) - quiet
 
 
 def _spread(run: Run, noise: Noise) -> Array:
-    """(2,) standard deviation of all noise of the inputs."""
-    power = noise.all_of(run)[None]
-    return np.sqrt([noise.of_input(run, power, which)[0] for which in (VOLTAGE, LOAD)])
+    """(2,) standard deviation of the noise of the inputs that can be told from them: white noise, no coloured one."""
+    power = noise.without_colour.all_of(run)[None]
+    return np.sqrt([noise.without_colour.of_input(run, power, which)[0] for which in (VOLTAGE, LOAD)])
 
 
 def _corrected(run: Run, noise: Noise, expected: Array) -> Run:
