@@ -128,7 +128,8 @@ def main() -> None:
     print(
         f"confidently wrong (beyond {WRONG:g} sd): {len(wrong)} of {arguments.count} ({low:.1%} to {high:.1%})"
     )
-    print("\n".join(f"  {line}" for line in wrong))
+    for line in wrong:
+        print(f"  {line}")
 
 
 if __name__ == "__main__":

@@ -68,6 +68,11 @@ def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> N
     assert np.sqrt(noise.channels[-1]) / RATED["speed"] == pytest.approx(0.005, rel=0.2)
     lasts = noise.lasts_s[-1] / PERIOD_S
     assert lasts == pytest.approx(-1 / np.log(0.96), rel=0.3)
+    # Noise drawn by what was found is as large, and as rough from sample to sample, as what was put in.
+    drawn = noise.drawn(found.runs[0], np.random.default_rng(5))[:, VOLTAGE] / RATED["voltage"]
+    assert np.std(drawn) == pytest.approx(np.hypot(0.005, 0.01), rel=0.25)
+    rough = np.sqrt(2 * (0.005**2 + 0.01**2 * (1 - 0.96)))
+    assert np.std(np.diff(drawn)) == pytest.approx(rough, rel=0.25)
     values, sd = found.fit.model.values(), found.fit.sd()
     off = {key: (values[key] - motor[key]) / sd[key] for key in ("R_a0", "ke", "J", "b")}
     assert found.converged and max(map(abs, off.values())) < 3, off

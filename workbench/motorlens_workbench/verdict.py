@@ -117,6 +117,16 @@ def seen_named(here: Standing) -> dict[str, Score]:
     return best
 
 
+def in_its_place(found: Finding, name: str) -> Score | None:
+    """A name that was not accepted in the place of the one that it could stand for; None if it is in no group.
+
+    What the first screen says of it is bent by all else that was missing then.
+    """
+    groups = [rivals for rivals in found.outcome.rivals if name in rivals.group[1:]]
+    likeliest = max(groups, key=lambda rivals: rivals.probability[name], default=None)
+    return likeliest.scores.get(name) if likeliest else None
+
+
 def _holds(found: Finding, one: Accepted) -> bool:
     """Whether the interval of its size is away from null; its other parameters, which mean nothing there, are not varied.
 
@@ -269,7 +279,10 @@ def of_key(found: Finding, one: Accepted, key: str) -> tuple[float, float]:
 
 
 def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
-    """Parameters of an accepted hypothesis with standard deviation and unit; of another what the first screen says."""
+    """Parameters of an accepted hypothesis with standard deviation and unit.
+
+    Of another what it would be in the place of one that it could stand for, or what the first screen says.
+    """
     for dead in found.dead:
         if dead.name == name:
             return {"gain": {"value": dead.gain, "sd": dead.sd, "unit": "1"}}
@@ -284,7 +297,8 @@ def sizes(found: Finding, name: str) -> dict[str, dict[str, object]]:
                 for key in fitted.prior.keys
                 if key.startswith(f"{name}.")
             }
-    score = seen_named(found.outcome.first).get(name) or seen_named(found.outcome.last).get(name)
+    first, last = seen_named(found.outcome.first), seen_named(found.outcome.last)
+    score = in_its_place(found, name) or first.get(name) or last.get(name)
     if score is None:
         return {}
     hypothesis = score.entry.hypothesis

@@ -112,10 +112,10 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
     return still, _moved(part.run.holding((way[0], way[0], ambient)), way[1])
 
 
-def likelier(point: Weighed, other: Weighed, prior: Prior) -> float:
+def gained_without_noise(point: Weighed, other: Weighed, prior: Prior) -> float:
     """Twice the gain in logarithmic likelihood from one point to another of the same runs, whose inputs ran otherwise.
 
-    In the mean under the noise of the one and of the other.
+    Beside inputs that have lost their noise, and in the mean under the noise of the one and of the other.
     """
     won = []
     for like in (point, other):

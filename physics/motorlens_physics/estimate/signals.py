@@ -162,12 +162,19 @@ def _loss(squares: Array) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
-    """The level (N,) of samples with unit noise, of which `every` so-manieth counts, and its squared error for others.
+    """Level of a signal with unit noise whose slope wanders, all at once or, in more than one round, with steps.
 
-    That is by generalised cross-validation, from each sample's share in its own level.
+    A round is a filter forwards, and backwards the smoothed steps of slope and level with their variances; the next one
+    takes what is expected of their squares for the variances that they had.
 
-    A round is a filter forwards, and backwards the smoothed disturbances with their variances. Of more than one, each puts
-    in the place of the variances of the walk and of the level what is expected of them.
+    Args:
+        z: (N,) samples.
+        walk: variance of the slope's steps.
+        rounds: how many; in one, every step has the same variance, and the level none.
+        every: only each so-manieth sample is known.
+
+    Returns:
+        (N,) the level, and the squared error with which samples foretell others (generalised cross-validation; all known).
     """
     samples = len(z)
     of_slope, of_level = np.full(samples, walk), np.full(samples, STEPS if rounds > 1 else 0.0)

@@ -7,7 +7,7 @@ only where that holds.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from motorlens_physics.estimate.between_samples import as_they_ran, likelier
+from motorlens_physics.estimate.between_samples import as_they_ran, gained_without_noise
 from motorlens_physics.estimate.delays import likeliest_lag, nearer, realigned
 from motorlens_physics.estimate.fit import NEAR, fit
 from motorlens_physics.estimate.model import Model
@@ -90,7 +90,7 @@ class Timing:
             # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
             for start in (point.model.with_values(none), self.begin):
                 other = self.near(replace(start, held=held), runs)
-                if likelier(point, other, self.prior) > (needed(1) if more else 0.0):
+                if gained_without_noise(point, other, self.prior) > (needed(1) if more else 0.0):
                     return other
         return point
 

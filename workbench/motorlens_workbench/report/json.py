@@ -22,7 +22,7 @@ from motorlens_workbench.hypotheses.courses import Course
 from motorlens_workbench.hypotheses.dead_channels import DeadChannel
 from motorlens_workbench.hypotheses.memory import Memory
 from motorlens_workbench.report.page import significant, unit_text
-from motorlens_workbench.verdict import Verdict, detectable, measured, seen_named, sizes
+from motorlens_workbench.verdict import Verdict, detectable, in_its_place, measured, seen_named, sizes
 
 SHOWN = 12
 
@@ -119,10 +119,11 @@ def _candidate(
     found: Finding, verdict: Verdict, name: str, first: Score | None, last: Score | None
 ) -> dict[str, Any]:
     accepted = next((one for one in found.outcome.accepted if one.hypothesis.name == name), None)
-    seen = first or last
+    rival = in_its_place(found, name)
+    seen = rival or first or last
     hypothesis = accepted.hypothesis if accepted else seen.entry.hypothesis  # type: ignore[union-attr]
     # Of what is in the model, the size that would have been seen is that of the look that saw it.
-    look = first if accepted else (last or first)
+    look = first if accepted or rival else (last or first)
     least = abs(hypothesis.typical) * detectable(found, look) if look else float("inf")
     weight = accepted.weight if accepted else seen.weight if seen and seen.possible else 0.0
     return {
@@ -131,7 +132,8 @@ def _candidate(
         "equation": hypothesis.equation,
         "gain": accepted.gain if accepted else seen.gain if seen else 0.0,
         "statistic": weight,
-        "p": float(np.exp(-weight)),
+        # Where no number is as small, the smallest.
+        "p": float(np.exp(-min(weight, 700.0))),
         "probability": verdict.probability.get(name, 0.0),
         "parameters": sizes(found, name),
         "minimum_detectable": least if np.isfinite(least) else None,
