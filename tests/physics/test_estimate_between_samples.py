@@ -1,4 +1,4 @@
-"""How inputs ran between samples, of recordings by an integrator of its own in which it is known; signals without noise."""
+"""How inputs ran between samples, of recordings by an integrator of its own in which it is known."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.run import prepare_all
-from motorlens_physics.estimate.signals import smoothed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
@@ -67,30 +66,3 @@ def test_the_deviations_allow_for_what_a_sinusoid_does_not_tell(held: bool) -> N
     # More often told right than wrong.
     assert right > 3
     assert np.abs(off).max() < 3.5 and np.mean(np.abs(off) < 2) > 0.85
-
-
-@pytest.mark.parametrize("sd", [0.5, 2.0])
-@pytest.mark.parametrize(
-    ("signal", "most"),
-    [
-        (np.full(6000, 3.0), 0.1),
-        (50 * np.sin(np.arange(6000) / 300), 0.2),
-        (np.repeat(np.random.default_rng(0).uniform(-50, 50, 12), 500), 0.15),
-        (60 * np.abs(np.arange(6000) % 2000 - 1000) / 1000, 0.2),
-        (np.repeat(np.random.default_rng(1).uniform(-50, 50, 12), 500) + 10 * np.sin(np.arange(6000) / 50), 0.35),
-    ],
-    ids=["constant", "sinusoid", "steps", "triangle", "steps on a sinusoid"],
-)  # fmt: skip
-def test_what_smoothing_leaves_of_noise(signal: np.ndarray, most: float, sd: float) -> None:
-    """Of its standard deviation; and by no more than that is the signal bent, of which none is passed on to the noise."""
-    noise = sd * np.random.default_rng(7).standard_normal(len(signal))
-    left = smoothed(signal + noise, sd=sd) - signal
-    assert np.std(left) < most * sd
-    # The share of the noise that is left in the signal, not the signal's own error.
-    assert -0.01 < left @ noise / (noise @ noise) < most
-
-
-def test_a_signal_that_wanders_from_sample_to_sample_is_left_as_it_is() -> None:
-    rng = np.random.default_rng(3)
-    signal = 10 * rng.standard_normal(3000)
-    assert np.std(smoothed(signal, sd=0.5) - signal) < 0.05 * 0.5

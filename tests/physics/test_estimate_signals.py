@@ -43,3 +43,30 @@ def test_a_level_that_rests_is_averaged_over_all_of_it_with_gaps_and_all():
     found = level_of(time, 20.0 + 0.05 * rng.standard_normal(10_000), 60.0)
     assert 0 < np.abs(found - 20.0).max() < 5 * 0.05 / np.sqrt(10_000)
     assert np.array_equal(level_of(time, np.full(10_000, 20.0), 60.0), np.full(10_000, 20.0))
+
+
+@pytest.mark.parametrize("sd", [0.5, 2.0])
+@pytest.mark.parametrize(
+    ("signal", "most"),
+    [
+        (np.full(6000, 3.0), 0.1),
+        (50 * np.sin(np.arange(6000) / 300), 0.2),
+        (np.repeat(np.random.default_rng(0).uniform(-50, 50, 12), 500), 0.15),
+        (60 * np.abs(np.arange(6000) % 2000 - 1000) / 1000, 0.2),
+        (np.repeat(np.random.default_rng(1).uniform(-50, 50, 12), 500) + 10 * np.sin(np.arange(6000) / 50), 0.35),
+    ],
+    ids=["constant", "sinusoid", "steps", "triangle", "steps on a sinusoid"],
+)  # fmt: skip
+def test_what_smoothing_leaves_of_noise(signal: np.ndarray, most: float, sd: float) -> None:
+    """Of its standard deviation; and by no more than that is the signal bent, of which none is passed on to the noise."""
+    noise = sd * np.random.default_rng(7).standard_normal(len(signal))
+    left = smoothed(signal + noise, sd=sd) - signal
+    assert np.std(left) < most * sd
+    # The share of the noise that is left in the signal, not the signal's own error.
+    assert -0.01 < left @ noise / (noise @ noise) < most
+
+
+def test_a_signal_that_wanders_from_sample_to_sample_is_left_as_it_is() -> None:
+    rng = np.random.default_rng(3)
+    signal = 10 * rng.standard_normal(3000)
+    assert np.std(smoothed(signal, sd=0.5) - signal) < 0.05 * 0.5

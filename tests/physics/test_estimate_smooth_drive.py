@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL
 from scipy.integrate import solve_ivp
 
@@ -77,3 +78,33 @@ def test_the_speed_at_which_friction_has_built_up_is_found(width_rad_s: float, s
         # What it typically is, if nothing is told; no sharper than a tenth of that.
         typical = CoulombFriction.typical(PLATE).w_s
         assert 0.0999 * typical < value[width] < 1.5 * typical
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("held", [True, False])
+def test_how_a_smooth_voltage_ran_between_its_samples_is_told_or_left_open(held: bool, seed: int) -> None:
+    """Held, it looks like a linear one that is half a sample late, which put inertia and resistance many deviations off."""
+    samples, period_s = 2400, 0.005
+    rng, time = np.random.default_rng(seed), np.arange(samples) * period_s
+    volts = 120 * np.sin(2 * np.pi * time / 4) + 70 * np.sin(2 * np.pi * time / rng.uniform(0.5, 1.0))
+    truth = plain_motor.scattered(rng)
+    states = plain_motor.simulated(
+        truth, volts, 0 * time, plain_motor.Test(period_s, samples, 1, held, NOISE)
+    )
+    shown = {
+        "voltage": volts, "current": states[:, 0], "speed": states[:, 1], "temperature": AMBIENT_C + states[:, 2],
+    }  # fmt: skip
+    channels = {q: y + NOISE * RATED[q] * rng.standard_normal(samples) for q, y in shown.items()}
+    channels["ambient"] = np.full(samples, AMBIENT_C)
+    knowledge = {key: Knowledge(0.3 / np.sqrt(3) * y, "plate") for key, y in TYPICAL.items()}
+    file = MotorFile("plate", Motor(**TYPICAL), PLATE, knowledge=knowledge)
+    found = estimate(file, prepare_all([Recording("smooth.csv", time, channels)], file))
+    value, sd = found.fit.model.values(), found.fit.sd()
+    told = found.otherwise[0] < 0.02
+    assert found.converged and (found.fit.model.held[0][:2] == (held, held) or not told)
+    for key in ("R_a0", "L", "ke", "J"):
+        assert abs(value[key] - truth[key]) < 3.5 * sd[key], key
+    # Where it is told, inertia and resistance are sharp; where it is open, by no more than the two ways differ by.
+    assert sd["J"] < (1e-3 if told else 3e-3) * truth["J"]
+    assert sd["R_a0"] < (0.01 if told else 0.03) * truth["R_a0"]

@@ -117,11 +117,11 @@ def gained_without_noise(point: Weighed, other: Weighed, prior: Prior) -> float:
 
     Beside inputs that have lost their noise, and in the mean under the noise of the one and of the other.
     """
-    won = []
+    won, inflation = [], point.tempered().inflation
     for like in (point, other):
         quiet = [_quiet(part.run, part.noise) for part in like.parts]
         before, after = (_end_under(like, quiet, here, prior) for here in (point, other))
-        won.append(_won(before, after, point.tempered().inflation))
+        won.append(_won(before, after, inflation))
     return float(np.mean(won))
 
 

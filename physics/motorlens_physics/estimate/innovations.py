@@ -242,19 +242,25 @@ def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _states_ahead(each, matrices, balances, k, G, z, ahead):  # type: ignore[no-untyped-def]
+    """What the states become (n, m) of columns z of states and disturbances, from sample k - 1 to k."""
+    n = len(each)
+    for r in range(n):
+        for m in range(z.shape[1]):
+            total = 0.0
+            for q in range(n):
+                total += matrices[k - 1, r, q] * z[q, m]
+            for d in range(len(balances)):
+                total += G[r, d] * z[n + d, m]
+            ahead[r, m] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P):  # type: ignore[no-untyped-def]
     """The covariance P of states and disturbances, from sample k - 1 to k."""
     n, count = len(each), len(balances)
-    s = n + count
     # What the states become of states and disturbances, times their covariance.
-    for r in range(n):
-        for c in range(s):
-            total = 0.0
-            for q in range(n):
-                total += matrices[k - 1, r, q] * P[q, c]
-            for d in range(count):
-                total += G[r, d] * P[n + d, c]
-            A[r, c] = total
+    _states_ahead(each, matrices, balances, k, G, P, A)
     for d in range(count):
         keep = keeps[k - 1, d]
         fresh = variance[d] * (1.0 - keep * keep)
@@ -326,21 +332,14 @@ def _interval(error, power, step):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _columns_ahead(each, matrices, keeps, k, G, z, ahead):  # type: ignore[no-untyped-def]
+def _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead):  # type: ignore[no-untyped-def]
     """The columns z of states and disturbances, from sample k - 1 to k."""
-    n, count, width = len(each), G.shape[1], z.shape[1]
-    for r in range(n):
-        for m in range(width):
-            total = 0.0
-            for q in range(n):
-                total += matrices[k - 1, r, q] * z[q, m]
-            for d in range(count):
-                total += G[r, d] * z[n + d, m]
-            ahead[r, m] = total
+    n, width = len(each), z.shape[1]
+    _states_ahead(each, matrices, balances, k, G, z, ahead)
     for r in range(n):
         for m in range(width):
             z[r, m] = ahead[r, m]
-    for d in range(count):
+    for d in range(len(balances)):
         for m in range(width):
             z[n + d, m] *= keeps[k - 1, d]
 
@@ -375,7 +374,7 @@ def _filter(  # type: ignore[no-untyped-def]
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
             _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
-            _columns_ahead(each, matrices, keeps, k, G, z, ahead)
+            _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead)
         for c in range(channels):
             h = shows[c]
             if not noise[k, c] < np.inf:
@@ -440,7 +439,7 @@ def _filter_on(  # type: ignore[no-untyped-def]
         k = begin + row
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            _columns_ahead(each, matrices, keeps, k, G, z, ahead)
+            _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead)
         for c in range(channels):
             h, root = shows[c], scale[k, c]
             if not root < np.inf:

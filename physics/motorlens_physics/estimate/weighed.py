@@ -176,8 +176,9 @@ def noise_left(run: Run, noise: Noise, rng: np.random.Generator) -> Array:
 
 def _spread(run: Run, noise: Noise) -> Array:
     """(2,) standard deviation of the noise of the inputs that can be told from them: white noise, no coloured one."""
-    power = noise.without_colour.all_of(run)[None]
-    return np.sqrt([noise.without_colour.of_input(run, power, which)[0] for which in (VOLTAGE, LOAD)])
+    white = noise.without_colour
+    power = white.all_of(run)[None]
+    return np.sqrt([white.of_input(run, power, which)[0] for which in (VOLTAGE, LOAD)])
 
 
 def _corrected(run: Run, noise: Noise, expected: Array) -> Run:
