@@ -66,6 +66,9 @@ PIECE = STRETCH * STRETCHES
 # Variances have settled when an update gains less than this in twice the logarithmic likelihood: a twentieth of a standard
 # deviation of the least known of them. Disturbances are followed down to this share of their largest.
 ENOUGH, SMALLEST = 0.0025, 1e-8
+# Twice the logarithm of the density of the share of an input's roughness that is noise, all shares being as likely, on the
+# scale of logarithms on which variances are sought: this many times the logarithm of the share.
+UNIFORM = 2.0
 # An extrapolation takes updates to shorten by this share at the slowest, and goes this far in the logarithm.
 SLOWEST, FARTHEST = 0.95, 3.0
 # Variances are believed down to this share of the channel's mean square: ten times the integration's own error, squared.
@@ -313,6 +316,9 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
         total += float(np.sum(seen.unlikely))
         _, of_inputs, of_channels = disturbances(seen.space, seen.filtered)
         inputs, sensors = inputs + of_inputs, sensors + of_channels
+    rough = noise.disturbances[:TORQUE] > 0
+    inputs[0, :TORQUE][rough] += UNIFORM / noise.disturbances[:TORQUE][rough]
+    total -= UNIFORM * float(np.sum(np.log(noise.disturbances[:TORQUE][rough] / noise.most[:TORQUE][rough])))
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
     ratio = _ratio(inputs[:, : len(noise.disturbances)])
     return noise.within(noise.channels * _ratio(sensors), noise.disturbances * ratio), total
