@@ -26,7 +26,7 @@ from motorlens_physics.estimate.innovations import (
     share_that_remains,
 )
 from motorlens_physics.estimate.run import STATE_OF, Run
-from motorlens_physics.estimate.signals import coloured_sd, noise_sd
+from motorlens_physics.estimate.signals import NOTHING_LASTS, Lasting, coloured_sd, noise_sd
 from motorlens_physics.sensitivity import Linearisation
 
 Array = NDArray[np.float64]
@@ -183,6 +183,13 @@ class Noise:
         ]
         return np.asarray(sum(every))
 
+    @property
+    def of_measured_inputs(self) -> tuple[int, ...]:
+        """Positions of the noise of the measured inputs, white and coloured."""
+        first = len(BALANCES)
+        coloured = range(first, first + len(INPUTS)) if len(self.disturbances) > first else ()
+        return (VOLTAGE, LOAD, *coloured)
+
     def of_inputs(self, channels: int) -> "Noise":
         """With the measured inputs' noise alone, of a run with so many channels."""
         white, coloured = self.disturbances[:TORQUE], self.disturbances[COLOURED][: len(INPUTS)]
@@ -214,6 +221,14 @@ class Noise:
         """(C,) variance of what lasts of the sensors' own errors: coloured noise."""
         coloured = self.disturbances[COLOURED][len(INPUTS) :]
         return coloured if coloured.size else np.zeros(len(run.channels))
+
+    def lasting_of_inputs(self, run: Run) -> tuple[Lasting, ...]:
+        """Coloured noise of each measured input."""
+        coloured = self.disturbances[COLOURED][: len(INPUTS)]
+        if not coloured.size:
+            return (NOTHING_LASTS,) * len(INPUTS)
+        remains = np.exp(-run.period_s / self.lasts_s[COLOURED][: len(INPUTS)])
+        return tuple(Lasting(*one) for one in np.column_stack([np.sqrt(coloured), remains]).tolist())
 
     def all_of(self, run: Run) -> Array:
         """(T,) variance of all disturbances of `space`: those found, and what lasts of the errors of inputs' converters."""
@@ -316,9 +331,9 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
         total += float(np.sum(seen.unlikely))
         _, of_inputs, of_channels = disturbances(seen.space, seen.filtered)
         inputs, sensors = inputs + of_inputs, sensors + of_channels
-    rough = noise.disturbances[:TORQUE] > 0
-    inputs[0, :TORQUE][rough] += UNIFORM / noise.disturbances[:TORQUE][rough]
-    total -= UNIFORM * float(np.sum(np.log(noise.disturbances[:TORQUE][rough] / noise.most[:TORQUE][rough])))
+    of_inputs = [which for which in noise.of_measured_inputs if noise.disturbances[which] > 0]
+    inputs[0, of_inputs] += UNIFORM / noise.disturbances[of_inputs]
+    total -= UNIFORM * float(np.sum(np.log(noise.disturbances[of_inputs] / noise.most[of_inputs])))
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
     ratio = _ratio(inputs[:, : len(noise.disturbances)])
     return noise.within(noise.channels * _ratio(sensors), noise.disturbances * ratio), total

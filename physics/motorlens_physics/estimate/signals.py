@@ -1,5 +1,7 @@
 """How noisy a signal is, and the signal without its noise, its steps kept."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -18,6 +20,8 @@ FAR, FORETOLD = 3.0, 0.91
 LOOKS, LOOK = 4, 512
 # Variance of a level and a slope that nothing is known of, in those of the noise.
 ANY = 1e10
+# Share of white noise in all noise, at least.
+LEAST = 1e-3
 # Samples in a piece of a coarsely converted signal; within how many steps, or deviations of its noise, it is steady;
 # how many such pieces are needed.
 STEADY, WITHIN, APART, FEWEST = 16, 3.0, 8.0, 8
@@ -105,21 +109,40 @@ def _before_conversion(toggling: float, step: float) -> float:
     return float(small if small < 0.5 * step else np.sqrt(max(toggling - step**2 / 12, 0.25 * step**2)))
 
 
-def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
+class Lasting(NamedTuple):
+    """Coloured noise of a signal.
+
+    Attributes:
+        sd: its standard deviation.
+        remains: share of it that remains at the next sample.
+    """
+
+    sd: float
+    remains: float
+
+
+NOTHING_LASTS = Lasting(0.0, 0.0)
+
+
+def smoothed(
+    y: Array, step: float = 0.0, sd: float | None = None, lasting: Lasting = NOTHING_LASTS
+) -> Array:
     """(N,) evenly sampled, without its noise and that of a converter of this `step`; what turns or steps at once does so.
 
     Fixed-interval smoother of a level whose slope wanders as a random walk, a cubic spline where samples are many (Durbin
     and Koopman 2012, doi:10.1093/acprof:oso/9780199641178.001.0001, chapters 3 and 4): either evenly, or with steps of the
     walk from heavy tails, Cauchy's for the slope, and of the level as well, by expectation and maximisation (Lange, Little
-    and Taylor 1989, doi:10.1080/01621459.1989.10478852). Which, and how fast, is told by how well every other sample
-    foretells the samples between; if evenly, how fast by generalised cross-validation (Craven and Wahba 1978,
-    doi:10.1007/BF01404567). A signal whose samples foretell the next no better than those tell themselves, with errors of
-    sqrt(2) deviations of the noise, is left as it is.
+    and Taylor 1989, doi:10.1080/01621459.1989.10478852). Which, and how fast, is told by how well every other sample, or
+    stretch of as many as coloured noise lasts, foretells those between; if evenly, how fast by generalised
+    cross-validation (Craven and Wahba 1978, doi:10.1007/BF01404567), or beside coloured noise by the likelihood. A signal
+    whose samples foretell the next no better than those tell themselves, with errors of sqrt(2) deviations of the noise, is
+    left as it is.
 
     Args:
         y: (N,) evenly sampled.
         step: least significant bit of its converter, 0 if it looks continuous.
-        sd: standard deviation of all its noise, if known.
+        sd: standard deviation of all its white noise, if known.
+        lasting: its coloured noise.
 
     >>> time, noise = np.arange(4000) / 1000, np.random.default_rng(0).standard_normal(4000)
     >>> steep = np.where(time < 2, 0.0, 100.0) + 50 * np.abs(np.sin(time))
@@ -128,31 +151,38 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None) -> Array:
     """
     if sd is None:
         sd = float(np.hypot(noise_sd(y, step), step / np.sqrt(12)))
-    if sd <= 0 or len(y) < SHORTEST:
+    all_sd = float(np.hypot(sd, lasting.sd))
+    if all_sd <= 0 or len(y) < SHORTEST:
         return y.copy()
-    z = y / sd
+    z = y / all_sd
+    # White noise is never quite nothing beside coloured noise.
+    noise = (max((sd / all_sd) ** 2, LEAST), (lasting.sd / all_sd) ** 2, lasting.remains)
+    apart = round(1 / (1 - lasting.remains))
     # Of a settled smoother: the walk's variance in a sample over the noise's is that number of samples to the power -4 which
     # it averages.
     walks = (2.0 ** (-4 * np.arange(FASTEST, np.log2(len(z) / 4)))).tolist()
-    begins = np.linspace(0, len(z) - LOOK, LOOKS).astype(int) if len(z) > LOOKS * LOOK else [0]
-    looks = [z[begin : begin + LOOK] if len(begins) > 1 else z for begin in begins]
+    look = LOOK * apart
+    begins = np.linspace(0, len(z) - look, LOOKS).astype(int) if len(z) > LOOKS * look else [0]
+    looks = [z[begin : begin + look] if len(begins) > 1 else z for begin in begins]
 
     def likeliest(rounds: int) -> float:
-        losses = [sum(_loss(_foretold(look, walk, rounds)) for look in looks) for walk in walks]
+        losses = [sum(_loss(_foretold(look, walk, rounds, apart, noise)) for look in looks) for walk in walks]
         return float(walks[int(np.argmin(losses))])
 
     evenly, unevenly = likeliest(1), likeliest(ROUNDS)
-    even, uneven = _foretold(z, evenly, 1), _foretold(z, unevenly, ROUNDS)
+    even, uneven = _foretold(z, evenly, 1, apart, noise), _foretold(z, unevenly, ROUNDS, apart, noise)
     if _loss(uneven) < _loss(even) and np.median(uneven) < FORETOLD:
-        return np.asarray(sd * _trend(z, unevenly, ROUNDS, 1)[0])
+        return np.asarray(all_sd * _trend(z, unevenly, ROUNDS, 0, *noise)[0])
     # Of what is linear in the samples, all of them tell.
-    level, error = min((_trend(z, walk, 1, 1) for walk in walks), key=lambda one: one[1])
-    return y.copy() if error > 2 else np.asarray(sd * level)
+    told = [_trend(z, walk, 1, 0, *noise) for walk in walks]
+    level, _, error, _ = min(told, key=lambda one: one[3] if lasting.sd else one[2])
+    return y.copy() if error > 2 and not lasting.sd else np.asarray(all_sd * level)
 
 
-def _foretold(z: Array, walk: float, rounds: int) -> Array:
-    """Squared errors of samples with unit noise, of every second one as the others foretell it."""
-    return np.asarray((z - _trend(z, walk, rounds, 2)[0])[1::2] ** 2)
+def _foretold(z: Array, walk: float, rounds: int, apart: int, noise: tuple[float, float, float]) -> Array:
+    """Squared errors of samples with unit noise, of those in every second stretch as the others foretell them."""
+    unknown = np.arange(len(z)) // apart % 2 == 1
+    return np.asarray(_trend(z, walk, rounds, apart, *noise)[1][unknown] ** 2)
 
 
 def _loss(squares: Array) -> float:
@@ -161,8 +191,8 @@ def _loss(squares: Array) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
-    """Level of a signal with unit noise whose slope wanders, all at once or, in more than one round, with steps.
+def _trend(z, walk, rounds, apart, own, lasting, remains):  # type: ignore[no-untyped-def]
+    """Level of a noisy signal whose slope wanders, all at once or, in more than one round, with steps.
 
     A round is a filter forwards, and backwards the smoothed steps of slope and level with their variances; the next one
     takes what is expected of their squares for the variances that they had.
@@ -171,48 +201,66 @@ def _trend(z, walk, rounds, every):  # type: ignore[no-untyped-def]
         z: (N,) samples.
         walk: variance of the slope's steps.
         rounds: how many; in one, every step has the same variance, and the level none.
-        every: only each so-manieth sample is known.
+        apart: only every second stretch of so many samples is known; 0 is all.
+        own, lasting, remains: variances of white and coloured noise, and what remains of that at the next sample.
 
     Returns:
-        (N,) the level, and the squared error with which samples foretell others (generalised cross-validation; all known).
+        (N,) the level, (N,) what level and coloured noise leave, the squared error with which samples foretell others
+        (generalised cross-validation; white noise, all known), and twice the negative logarithmic likelihood.
     """
     samples = len(z)
     of_slope, of_level = np.full(samples, walk), np.full(samples, STEPS if rounds > 1 else 0.0)
-    before, error, out = np.empty((samples, 3)), np.empty(samples), np.empty(samples)
+    before, error = np.empty((samples, 6)), np.empty(samples)
+    out, rest = np.empty(samples), np.empty(samples)
     for still in range(rounds - 1, -1, -1):
-        level, slope = z[0], 0.0
-        # Variances of level and slope, and between them, given the samples before.
-        a, b, c = ANY, 0.0, ANY
+        # Level, slope and coloured noise, and their covariance, given the samples before.
+        level, slope, drift = z[0], 0.0, 0.0
+        a, b, c, d, e, f = ANY, 0.0, ANY, 0.0, 0.0, lasting
+        unlikely = 0.0
         for k in range(samples):
-            before[k, 0], before[k, 1], before[k, 2] = a, b, c
-            out[k], error[k] = level, z[k] - level
-            if k % every == 0:
-                gain, turn = a / (a + 1.0), b / (a + 1.0)
-                level, slope = level + gain * error[k], slope + turn * error[k]
-                a, b, c = gain, turn, c - turn * b
-            level += slope
+            at = before[k]
+            at[0], at[1], at[2], at[3], at[4], at[5] = a, b, c, d, e, f
+            out[k], rest[k], error[k] = level, drift, z[k] - level - drift
+            if apart == 0 or k // apart % 2 == 0:
+                p, q, w = a + d, b + e, d + f
+                scale = p + w + own
+                gain, turn, more = p / scale, q / scale, w / scale
+                level, slope, drift = level + gain * error[k], slope + turn * error[k], drift + more * error[k]
+                a, b, c = a - gain * p, b - gain * q, c - turn * q
+                d, e, f = d - gain * w, e - turn * w, f - more * w
+                unlikely += np.log(scale) + error[k] ** 2 / scale
+            level, drift = level + slope, remains * drift
             a, b, c = a + 2 * b + c + of_level[k], b + c, c + of_slope[k]
-        # Scores of level and slope, and their variances, given the samples after.
-        r, s, rr, rs, ss = 0.0, 0.0, 0.0, 0.0, 0.0
+            d, e, f = remains * (d + e), remains * e, remains**2 * f + (1 - remains**2) * lasting
+        # Their scores, and the variances of these, given the samples after.
+        r, s, m = 0.0, 0.0, 0.0
+        rr, rs, ss, rm, sm, mm = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         squares, others = 0.0, 0.0
         for k in range(samples - 1, -1, -1):
             if still:
                 of_level[k] = 0.5 * ((of_level[k] * r) ** 2 + of_level[k] - of_level[k] ** 2 * rr)
                 of_slope[k] = 0.5 * (walk + (of_slope[k] * s) ** 2 + of_slope[k] - of_slope[k] ** 2 * ss)
-            a, b, _ = before[k]
-            counts = 1.0 / (a + 1.0) if k % every == 0 else 0.0
-            # What the level and the slope after this sample keep of the level before it.
-            keep, turn = 1.0 - (a + b) * counts, -b * counts
-            others += counts + (1.0 - keep) ** 2 * rr - 2 * (1.0 - keep) * turn * rs + turn * turn * ss
-            r, s = counts * error[k] + keep * r + turn * s, r + s
-            rr, rs, ss = (
-                counts + keep * keep * rr + 2 * keep * turn * rs + turn * turn * ss,
-                keep * (rr + rs) + turn * (rs + ss),
-                rr + 2 * rs + ss,
-            )
-            out[k] += a * r + b * s
-            squares += (z[k] - out[k]) ** 2
-    return out, samples * squares / others**2
+            a, b, c, d, e, f = before[k]
+            # From after to before the step ahead.
+            s, m = r + s, remains * m
+            ss, rs = rr + 2 * rs + ss, rr + rs
+            sm, rm, mm = remains * (rm + sm), remains * rm, remains**2 * mm
+            if apart == 0 or k // apart % 2 == 0:
+                p, q, w = a + d, b + e, d + f
+                counts = 1.0 / (p + w + own)
+                x = counts * (rr * p + rs * q + rm * w)
+                y = counts * (rs * p + ss * q + sm * w)
+                n = counts * (rm * p + sm * q + mm * w)
+                alone = counts * (1.0 + x * p + y * q + n * w)
+                score = counts * (error[k] - p * r - q * s - w * m)
+                r, m = r + score, m + score
+                rr, rs, rm = rr - 2 * x + alone, rs - y, rm - x - n + alone
+                sm, mm = sm - y, mm - 2 * n + alone
+                others += alone
+            out[k] += a * r + b * s + d * m
+            rest[k] = z[k] - out[k] - rest[k] - d * r - e * s - f * m
+            squares += rest[k] ** 2
+    return out, rest, samples * squares / others**2, unlikely
 
 
 def level_of(time_s: Array, y: Array, fastest_s: float) -> Array:

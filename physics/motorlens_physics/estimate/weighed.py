@@ -169,22 +169,25 @@ def without_noise(run: Run, noise: Noise) -> Run:
 
 def noise_left(run: Run, noise: Noise, rng: np.random.Generator) -> Array:
     """(N, 2) what smoothing leaves of noise on the inputs of a run that have lost theirs, see `without_noise`."""
-    quiet, spread = _shown(run) + (0.0 if run.corrections is None else run.corrections), _spread(run, noise)
-    again = quiet + noise.drawn(run, rng)
-    return np.column_stack([smoothed(u, sd=sd) for u, sd in zip(again.T, spread, strict=True)]) - quiet
+    quiet = _shown(run) + (0.0 if run.corrections is None else run.corrections)
+    return _smoothed(run, noise, quiet + noise.drawn(run, rng)) - quiet
 
 
-def _spread(run: Run, noise: Noise) -> Array:
-    """(2,) standard deviation of the noise of the inputs that can be told from them: white noise, no coloured one."""
+def _smoothed(run: Run, noise: Noise, inputs: Array) -> Array:
+    """(N, 2) voltage and load torque of a run without the noise that shows in them."""
     white = noise.without_colour
     power = white.all_of(run)[None]
-    return np.sqrt([white.of_input(run, power, which)[0] for which in (VOLTAGE, LOAD)])
+    return np.column_stack(
+        [
+            smoothed(u, sd=float(np.sqrt(white.of_input(run, power, which)[0])), lasting=lasting)
+            for which, u, lasting in zip((VOLTAGE, LOAD), inputs.T, noise.lasting_of_inputs(run), strict=True)
+        ]
+    )
 
 
 def _corrected(run: Run, noise: Noise, expected: Array) -> Run:
     """The run with its inputs corrected to what was expected (N, 2) of them, smoothed."""
-    spread = _spread(run, noise)
-    acted = np.column_stack([smoothed(u, sd=sd) for u, sd in zip(expected.T, spread, strict=True)])
+    acted = _smoothed(run, noise, expected)
     corrections = acted - _shown(run)
     if run.inputs.terminal is not None:
         # Shorted terminals have no voltage to be measured wrongly.
