@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from motorlens_physics.estimate.signals import level_of, noise_sd, smoothed
+from scipy.signal import lfilter
+
+from motorlens_physics.estimate.signals import Lasting, level_of, noise_sd, smoothed
 
 
 def test_noise_goes_and_steps_stay():
@@ -64,6 +66,27 @@ def test_what_smoothing_leaves_of_noise(signal: np.ndarray, most: float, sd: flo
     assert np.std(left) < most * sd
     # The share of the noise that is left in the signal, not the signal's own error.
     assert -0.01 < left @ noise / (noise @ noise) < most
+
+
+@pytest.mark.parametrize(
+    ("signal", "most"),
+    [
+        (np.full(6000, 3.0), 0.15),
+        (50 * np.sin(np.arange(6000) / 300), 0.5),
+        (np.repeat(np.random.default_rng(0).uniform(-50, 50, 12), 500), 0.5),
+        (60 * np.abs(np.arange(6000) % 2000 - 1000) / 1000, 0.55),
+    ],
+    ids=["constant", "sinusoid", "steps", "triangle"],
+)
+@pytest.mark.parametrize("remains", [0.8, 0.95])
+def test_what_smoothing_leaves_of_coloured_noise(signal: np.ndarray, most: float, remains: float) -> None:
+    """Of noise half white, by its deviation; taken for white noise, all that is coloured would be left."""
+    rng = np.random.default_rng(7)
+    lasts = lfilter([np.sqrt(1 - remains**2)], [1.0, -remains], rng.standard_normal(len(signal)))
+    noise = 0.5 * rng.standard_normal(len(signal)) + 0.87 * lasts
+    left = smoothed(signal + noise, sd=0.5, lasting=Lasting(0.87, remains)) - signal
+    assert np.std(left) < most
+    assert np.std(smoothed(signal + noise, sd=0.5) - signal) > 0.7
 
 
 def test_a_signal_that_wanders_from_sample_to_sample_is_left_as_it_is() -> None:

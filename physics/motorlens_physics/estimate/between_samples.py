@@ -155,7 +155,8 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
 
     Returns:
         per run, the probability that voltage or load torque ran otherwise than at the point.
-        (k, k) covariance of `prior.keys` to be added: by how much each way leads elsewhere, one step away, as likely as it is.
+        (k, k) covariance of `prior.keys` to be added: by how much each way leads elsewhere, one step away, as likely as it
+        is.
     """
     inflation = point.tempered().inflation
     chances, spread = [], np.zeros((len(prior.keys), len(prior.keys)))
@@ -171,7 +172,7 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         total = 1.0 + sum(odds)
         chances.append(1.0 - 1.0 / total)
         for odd, end in zip(odds, ends.values(), strict=True):
-            # Beside inputs without noise parameters may be elsewhere, whichever way inputs ran: that is not what is left open.
+            # Beside inputs without noise parameters may be elsewhere whichever way inputs ran: that is not what is open.
             apart = end.step - here.step
             spread += odd / total * np.outer(apart, apart)
     return tuple(chances), spread

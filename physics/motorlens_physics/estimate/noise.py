@@ -184,11 +184,11 @@ class Noise:
         return np.asarray(sum(every))
 
     @property
-    def of_measured_inputs(self) -> tuple[int, ...]:
-        """Positions of the noise of the measured inputs, white and coloured."""
+    def of_measured_inputs(self) -> list[int]:
+        """Positions of the noise of the measured inputs, white and coloured, where they look noisy at all."""
         first = len(BALANCES)
-        coloured = range(first, first + len(INPUTS)) if len(self.disturbances) > first else ()
-        return (VOLTAGE, LOAD, *coloured)
+        every = (VOLTAGE, LOAD, *range(first, len(self.disturbances))[: len(INPUTS)])
+        return [which for which in every if self.disturbances[which] > 0]
 
     def of_inputs(self, channels: int) -> "Noise":
         """With the measured inputs' noise alone, of a run with so many channels."""
@@ -331,9 +331,10 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
         total += float(np.sum(seen.unlikely))
         _, of_inputs, of_channels = disturbances(seen.space, seen.filtered)
         inputs, sensors = inputs + of_inputs, sensors + of_channels
-    of_inputs = [which for which in noise.of_measured_inputs if noise.disturbances[which] > 0]
-    inputs[0, of_inputs] += UNIFORM / noise.disturbances[of_inputs]
-    total -= UNIFORM * float(np.sum(np.log(noise.disturbances[of_inputs] / noise.most[of_inputs])))
+    # What is known beforehand of the measured inputs counts as scores do.
+    measured = noise.of_measured_inputs
+    inputs[0, measured] += UNIFORM / noise.disturbances[measured]
+    total -= UNIFORM * float(np.sum(np.log(noise.disturbances[measured] / noise.most[measured])))
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
     ratio = _ratio(inputs[:, : len(noise.disturbances)])
     return noise.within(noise.channels * _ratio(sensors), noise.disturbances * ratio), total

@@ -124,9 +124,7 @@ class Lasting(NamedTuple):
 NOTHING_LASTS = Lasting(0.0, 0.0)
 
 
-def smoothed(
-    y: Array, step: float = 0.0, sd: float | None = None, lasting: Lasting = NOTHING_LASTS
-) -> Array:
+def smoothed(y: Array, step: float = 0.0, sd: float | None = None, lasting: Lasting = NOTHING_LASTS) -> Array:
     """(N,) evenly sampled, without its noise and that of a converter of this `step`; what turns or steps at once does so.
 
     Fixed-interval smoother of a level whose slope wanders as a random walk, a cubic spline where samples are many (Durbin
@@ -225,7 +223,11 @@ def _trend(z, walk, rounds, apart, own, lasting, remains):  # type: ignore[no-un
                 p, q, w = a + d, b + e, d + f
                 scale = p + w + own
                 gain, turn, more = p / scale, q / scale, w / scale
-                level, slope, drift = level + gain * error[k], slope + turn * error[k], drift + more * error[k]
+                level, slope, drift = (
+                    level + gain * error[k],
+                    slope + turn * error[k],
+                    drift + more * error[k],
+                )
                 a, b, c = a - gain * p, b - gain * q, c - turn * q
                 d, e, f = d - gain * w, e - turn * w, f - more * w
                 unlikely += np.log(scale) + error[k] ** 2 / scale
