@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from scipy.signal import lfilter
 
 from motorlens_physics.estimate.signals import Lasting, level_of, noise_sd, smoothed
