@@ -133,7 +133,7 @@ def test_a_creeping_motor_is_not_told_by_the_noise_of_its_voltage(seed: int) -> 
     value, sd = found.fit.model.values(), found.fit.sd()
     off = {key: (value[key] - motor[key]) / sd[key] for key in ("R_a0", "L", "ke", "J", "b")}
     assert max(map(abs, off.values())) < 3.5, off
-    assert 0.03 * motor["R_a0"] < sd["R_a0"] < 0.12 * motor["R_a0"]
+    assert 0.03 * motor["R_a0"] < sd["R_a0"] < 0.15 * motor["R_a0"]
 
 
 @pytest.mark.fit
