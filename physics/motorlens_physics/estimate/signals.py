@@ -228,8 +228,11 @@ def _trend(z, walk, rounds, apart, own, lasting, remains):  # type: ignore[no-un
                     slope + turn * error[k],
                     drift + more * error[k],
                 )
-                a, b, c = a - gain * p, b - gain * q, c - turn * q
-                d, e, f = d - gain * w, e - turn * w, f - more * w
+                # Without differences of large numbers: where a level steps, its variance is large.
+                a, b, c, d, e, f = (
+                    (a * (own + f) - d * d) / scale, (b * (own + d + f) - p * e) / scale, c - turn * q,
+                    (d * (own + d) - a * f) / scale, (e * (own + p) - b * w) / scale, (f * (own + a) - d * d) / scale,
+                )  # fmt: skip
                 unlikely += np.log(scale) + error[k] ** 2 / scale
             level, drift = level + slope, remains * drift
             a, b, c = a + 2 * b + c + of_level[k], b + c, c + of_slope[k]
@@ -250,15 +253,29 @@ def _trend(z, walk, rounds, apart, own, lasting, remains):  # type: ignore[no-un
             if apart == 0 or k // apart % 2 == 0:
                 p, q, w = a + d, b + e, d + f
                 counts = 1.0 / (p + w + own)
-                x = counts * (rr * p + rs * q + rm * w)
-                y = counts * (rs * p + ss * q + sm * w)
-                n = counts * (rm * p + sm * q + mm * w)
-                alone = counts * (1.0 + x * p + y * q + n * w)
-                score = counts * (error[k] - p * r - q * s - w * m)
-                r, m = r + score, m + score
-                rr, rs, rm = rr - 2 * x + alone, rs - y, rm - x - n + alone
-                sm, mm = sm - y, mm - 2 * n + alone
-                others += alone
+                gain, turn, more = counts * p, counts * q, counts * w
+                # What the level and the noise after this sample keep of those before it.
+                keep, stay = counts * (w + own), counts * (p + own)
+                x, y, n = (
+                    keep * rr - turn * rs - more * rm,
+                    keep * rs - turn * ss - more * sm,
+                    keep * rm - turn * sm - more * mm,
+                )
+                first = -gain * rr - turn * rs + stay * rm
+                other = -gain * rs - turn * ss + stay * sm
+                last = -gain * rm - turn * sm + stay * mm
+                others += counts + gain * (gain * rr + 2 * turn * rs + 2 * more * rm)
+                others += turn * (turn * ss + 2 * more * sm) + more * more * mm
+                r, m = (
+                    counts * error[k] + keep * r - turn * s - more * m,
+                    counts * error[k] - gain * r - turn * s + stay * m,
+                )
+                rr, rs, rm = (
+                    counts + keep * x - turn * y - more * n,
+                    y,
+                    counts - gain * x - turn * y + stay * n,
+                )
+                sm, mm = other, counts - gain * first - turn * other + stay * last
             out[k] += a * r + b * s + d * m
             rest[k] = z[k] - out[k] - rest[k] - d * r - e * s - f * m
             squares += rest[k] ** 2

@@ -22,10 +22,10 @@ from motorlens_physics.estimate.estimate import Estimate
 from motorlens_physics.estimate.fit import inverse, start_model
 from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.model import Model
-from motorlens_physics.estimate.noise import LOAD, MOST_OF_LOOKS, OUTLIER, VOLTAGE, Noise, likelier
+from motorlens_physics.estimate.noise import OUTLIER, Noise
 from motorlens_physics.estimate.prior import NOTHING, Prior, part_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Errors, Weighed, weighed
+from motorlens_physics.estimate.weighed import Weighed, weighed
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import sensor_models
 
@@ -38,11 +38,6 @@ _FAULTS = ("gain", "offset", "lag")
 FAINT = 1e-3
 # A recording that tells a candidate no better than this many times its typical size says nothing of it.
 TELLS = 3.0
-# Errors contradict a variance if twice the logarithm of their likelihood falls by this: 1 % by chance. Parameters that were
-# fitted under a smaller variance are in its favour, so that it is not 5 %.
-CONTRADICTS = 6.63
-# Updates in which other variances follow one that was set.
-GIVEN_BACK = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +225,6 @@ def _point(model: Model, found: Estimate, keys: Sequence[str]) -> Weighed:
     assert all(noise is not None for noise in noises)
     used = [run.there for run in found.runs]
     point = weighed(model, found.runs, [n for n in noises if n is not None], used, keys)
-    point = replace(point, parts=tuple(replace(part, noise=_as_it_looks(part)) for part in point.parts))
     if found.outliers:
         used = [
             part.used
@@ -239,36 +233,6 @@ def _point(model: Model, found: Estimate, keys: Sequence[str]) -> Weighed:
         ]
         point = weighed(model, found.runs, [part.noise for part in point.parts], used, keys)
     return point.tempered()
-
-
-def _as_it_looks(part: Errors) -> Noise:
-    """The noise of a recording, its measured inputs as noisy as they look unless the errors contradict.
-
-    Errors of a short recording hardly tell how noisy a load's sensor is, and the likeliest is often no noise at all. Each
-    recording would then claim more than it knows, and so would all those of a motor together.
-    """
-
-    def updated(noise: Noise) -> tuple[Noise, float]:
-        return likelier(noise, part.run, part.linear, part.error, part.used, 1)
-
-    found = part.noise
-    for k in (VOLTAGE, LOAD):
-        looks = found.most[k] / MOST_OF_LOOKS
-        if looks <= found.disturbances[k]:
-            continue
-        louder = _with(found, k, looks)
-        # What the others had explained in its place, they give back.
-        for _ in range(GIVEN_BACK):
-            louder = _with(updated(louder)[0], k, looks)
-        if updated(louder)[1] - updated(found)[1] < CONTRADICTS:
-            found = louder
-    return found
-
-
-def _with(noise: Noise, k: int, variance: float) -> Noise:
-    sizes = noise.disturbances.copy()
-    sizes[k] = variance
-    return noise.within(noise.channels, sizes)
 
 
 def _wider(point: Weighed, gram: Array, known: Array, of: NDArray[np.bool_]) -> Array:
