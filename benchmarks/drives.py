@@ -3,6 +3,7 @@
     python benchmarks/drives.py                     140 recordings (minutes)
     python benchmarks/drives.py --count 20          a sample
     python benchmarks/drives.py --first 65 --count 1 --verbose
+    python benchmarks/drives.py --lasts 20          three quarters of all noise forget within 20 samples, as drifts do
 
 Each recording is drawn from its seed alone: a motor up to 30 % from its file in ten parameters, a kind of drive, 200, 500 or
 1000 samples a second for 6 to 16 s (8000 samples at most), inputs that hold between samples or run linearly, 0.1, 0.3 or 1 %
@@ -19,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 HERE = Path(__file__).resolve().parent
 sys.path = [str(HERE.parent / "tests"), str(HERE), *(p for p in sys.path if Path(p).resolve() != HERE)]
@@ -69,8 +71,8 @@ def drive(kind: str, time: Array, rng: np.random.Generator) -> Array:
     return np.full(len(time), rng.uniform(0.3, 0.9))
 
 
-def world(seed: int) -> World:
-    """The one of a seed."""
+def world(seed: int, lasts: float = 0.0) -> World:
+    """The one of a seed; with noise that lasts so many samples beside a quarter of white noise, if any."""
     rng = np.random.default_rng([417, seed])
     kind = str(rng.choice(KINDS))
     period_s, noise = float(rng.choice([0.001, 0.002, 0.005])), float(rng.choice([0.001, 0.003, 0.01]))
@@ -86,7 +88,9 @@ def world(seed: int) -> World:
         shown["load_torque"] = load
     if warm:
         shown["temperature"] = AMBIENT_C + states[:, 2]
-    channels = {q: y + noise * RATED[q] * rng.standard_normal(samples) for q, y in shown.items()}
+    channels = {
+        q: y + noise * RATED[q] * noisy(rng.standard_normal(samples), lasts) for q, y in shown.items()
+    }
     if coarse:
         channels = {
             q: np.round(y / (3 * RATED[q] / 2**12)) * (3 * RATED[q] / 2**12) for q, y in channels.items()
@@ -95,18 +99,29 @@ def world(seed: int) -> World:
     return World(kind, held, truth, Recording(f"{kind} {seed}", time, channels))
 
 
+def noisy(white: Array, lasts: float) -> Array:
+    """(N,) unit noise, of unit white noise."""
+    if not lasts:
+        return white
+    keep = np.exp(-1 / lasts)
+    drift = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], white)
+    # Drawn once, used twice: white noise is its own, later by half.
+    return 0.5 * np.roll(white, len(white) // 2) + np.sqrt(0.75) * drift
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--count", type=int, default=140, help="how many")
     parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    parser.add_argument("--lasts", type=float, default=0.0, help="samples for which noise lasts; 0: white")
     parser.add_argument("--verbose", action="store_true", help="a line for every recording")
     arguments = parser.parse_args()
     rows: dict[str, list[tuple[bool, bool, list[float]]]] = {kind: [] for kind in KINDS}
     wrong: list[str] = []
     for seed in range(arguments.first, arguments.first + arguments.count):
-        made = world(seed)
+        made = world(seed, arguments.lasts)
         found = estimate(FILE, prepare_all([made.recording], FILE))
         value, sd, said = found.fit.model.values(), found.fit.sd(), findings(found.fit)
         off = {k: (value[k] - made.truth[k]) / sd[k] for k in made.truth if k not in said.untold}
