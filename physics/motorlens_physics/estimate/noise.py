@@ -135,11 +135,11 @@ class Noise:
         durations[TORQUE] = lasts_s
         return replace(self, lasts_s=durations)
 
-    def with_small_torque(self, run: Run) -> "Noise":
-        """With an unmeasured torque as `first_noise` begins with: it may have stood for what lasts as long as it does."""
+    def with_small_torque(self, run: Run, samples: float) -> "Noise":
+        """With an unmeasured torque as small as `first_noise` begins with, that lasts so many samples."""
         variance = self.disturbances.copy()
         variance[TORQUE] = SMALL_TORQUE**2 * self.most[TORQUE]
-        return replace(self, disturbances=variance).lasting(LASTS[1] * run.period_s)
+        return replace(self, disturbances=variance).lasting(samples * run.period_s)
 
     def correlated(self, lasts_s: float) -> "Noise":
         """With coloured noise that lasts so long."""
@@ -395,21 +395,25 @@ def lasting(
         used: (N, C) samples that count.
         response_s: how long the motor takes to follow a torque.
     """
-    durations: tuple[float, ...] = LASTS
-    updates = ROUGHLY
-    if response_s < SHORT * run.period_s:
-        durations = (SHORT, *durations)
-    # Beside a load that was measured it would be that sensor's noise, which is in the inputs.
-    if response_s < run.period_s and "load_torque" not in run.known:
-        durations, updates = (WITHIN_A_SAMPLE, *durations), CONVERGED
+    durations, updates = _of_torque(run, response_s)
     tried = [
         likelier(noise.lasting(samples * run.period_s), run, linear, error, used, updates)
-        for samples in durations
+        for samples in (*durations, *LASTS)
     ]
     return min(tried, key=lambda one: one[1])[0]
 
 
-def coloured(noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_]) -> Noise:
+def _of_torque(run: Run, response_s: float) -> tuple[tuple[float, ...], int]:
+    """In how few samples a torque that nobody measured may be over, if in few, and updates that tell it from noise."""
+    # Beside a load that was measured it would be that sensor's noise, which is in the inputs.
+    if response_s < run.period_s and "load_torque" not in run.known:
+        return (WITHIN_A_SAMPLE, SHORT), CONVERGED
+    return ((SHORT,) if response_s < SHORT * run.period_s else ()), ROUGHLY
+
+
+def coloured(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_], response_s: float
+) -> Noise:
     """The noise with coloured noise of all sensors besides, if that is what the errors are; itself if it is not.
 
     It must be likelier beyond chance, last no longer than noise does, leave white noise, and be the same throughout: errors
@@ -417,15 +421,21 @@ def coloured(noise: Noise, run: Run, linear: Linearisation, error: Array, used: 
 
     Args: as of `lasting`, at parameters near the best: what is wrong with them lasts as well.
     """
-    begin = noise.with_small_torque(run)
-    cost = min(likelier(one, run, linear, error, used, ROUGHLY)[1] for one in (noise, begin))
+    durations, updates = _of_torque(run, response_s)
+    # The torque may have stood for noise, or noise for the torque: how long both last is sought together.
+    begins = [noise.with_small_torque(run, samples) for samples in (*durations, LASTS[1])]
+    cost = min(likelier(one, run, linear, error, used, updates)[1] for one in (noise, *begins))
 
     def tried(near: Noise, samples: float) -> tuple[Noise, float]:
-        return likelier(near.correlated(samples * run.period_s), run, linear, error, used, ROUGHLY)
+        return likelier(near.correlated(samples * run.period_s), run, linear, error, used, updates)
 
     shortest, usual, longest = CORRELATED
-    first = [tried(begin.coloured(run, error, samples), samples) for samples in (shortest, usual)]
-    other, least = min(first, key=lambda one: one[1])
+    first = [
+        (tried(begin.coloured(run, error, samples), samples), begin)
+        for begin in begins
+        for samples in (shortest, usual)
+    ]
+    (other, least), begin = min(first, key=lambda one: one[0][1])
     if cost - least < chdtri(TORQUE + len(run.channels), CHANCE / len(first)):
         return noise
     if least - tried(begin.coloured(run, error, longest), longest)[1] > chdtri(1, CHANCE):

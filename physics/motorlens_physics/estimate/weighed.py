@@ -133,7 +133,8 @@ class Errors:
 
     def with_colour(self) -> "Errors":
         """With coloured noise, if that is likelier; itself if it is not."""
-        noise = coloured(self.noise, self.run, self.linear, self.error, self.used)
+        response_s = self.frame.model.file.motor.response_s
+        noise = coloured(self.noise, self.run, self.linear, self.error, self.used, response_s)
         # The torque lasted as long as the noise that it stood for.
         return self if noise is self.noise else replace(self, noise=noise).with_duration()
 
