@@ -66,8 +66,8 @@ PIECE = STRETCH * STRETCHES
 # Variances have settled when an update gains less than this in twice the logarithmic likelihood: a twentieth of a standard
 # deviation of the least known of them. Disturbances are followed down to this share of their largest.
 ENOUGH, SMALLEST = 0.0025, 1e-8
-# Twice the logarithm of the density of the share of an input's roughness that is noise, all shares being as likely, on the
-# scale of logarithms on which variances are sought: this many times the logarithm of the share.
+# Any share of what is rough of a measured input may be noise, each as likely as another. On the scale of logarithms, on which
+# variances are sought, twice the logarithm of that density rises by this many times the logarithm of the variance.
 UNIFORM = 2.0
 # An extrapolation takes updates to shorten by this share at the slowest, and goes this far in the logarithm.
 SLOWEST, FARTHEST = 0.95, 3.0
@@ -294,6 +294,8 @@ def likelier(
 ) -> tuple[Noise, float]:
     """Noise under which the errors (N, C) are likelier, and twice their negative logarithmic likelihood.
 
+    What is known beforehand of the inputs' noise (`UNIFORM`) is part of it.
+
     Of both, samples tell at which the recording does not rest (`Run.rests`).
 
     Every update raises the likelihood, but nears its end by a constant share: after two, each variance leaps to where that
@@ -331,7 +333,7 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
         total += float(np.sum(seen.unlikely))
         _, of_inputs, of_channels = disturbances(seen.space, seen.filtered)
         inputs, sensors = inputs + of_inputs, sensors + of_channels
-    # What is known beforehand of the measured inputs counts as scores do.
+    # Where the errors do not tell it from the channels' own noise, an input is as noisy as it looks.
     measured = noise.of_measured_inputs
     inputs[0, measured] += UNIFORM / noise.disturbances[measured]
     total -= UNIFORM * float(np.sum(np.log(noise.disturbances[measured] / noise.most[measured])))
