@@ -66,8 +66,8 @@ PIECE = STRETCH * STRETCHES
 # Variances have settled when an update gains less than this in twice the logarithmic likelihood: a twentieth of a standard
 # deviation of the least known of them. Disturbances are followed down to this share of their largest.
 ENOUGH, SMALLEST = 0.0025, 1e-8
-# Any share of what is rough of a measured input may be noise, each as likely as another. On the scale of logarithms, on which
-# variances are sought, twice the logarithm of that density rises by this many times the logarithm of the variance.
+# Any share of what is rough of a measured input may be noise, each as likely as another. On the scale of logarithms, on
+# which variances are sought, twice the logarithm of that density rises by so many times the logarithm of the variance.
 UNIFORM = 2.0
 # An extrapolation takes updates to shorten by this share at the slowest, and goes this far in the logarithm.
 SLOWEST, FARTHEST = 0.95, 3.0
