@@ -10,9 +10,9 @@ class Criteria:
     The first three say when a hypothesis is beyond what recordings show in which nothing is missing, the last two when the
     model is. `python benchmarks/null.py --count 200 --seed 6` prints how large the largest of them get. At an `excess` of 16
     the largest name had 0.61 and the largest free term 0.36 of what was needed, but for four worlds, three of them with
-    10 bit, which at that time were read as numbers; so much was taken off `excess`. Of the worlds of `--count 120
-    --seed 15`, which nothing was chosen by, the largest of either has 0.67 of what is needed, and none is `unknown`. Flips of signs
-    alone would put `excess` near 5: misfit that is no missing physics has the same sign in every block.
+    10 bit, which at that time were read as numbers; so much was taken off `excess`. Of the worlds of `--count 120 --seed
+    15`, which nothing was chosen by, the largest of either has 0.67 of what is needed, and none is `unknown`. Flips of
+    signs alone would put `excess` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:
         excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode; twice as far
