@@ -8,7 +8,7 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import Knowledge, MotorFile
+from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 
@@ -66,20 +66,3 @@ def test_the_deviations_allow_for_what_a_sinusoid_does_not_tell(held: bool) -> N
     # More often told right than wrong.
     assert right > 3
     assert np.abs(off).max() < 3.5 and np.mean(np.abs(off) < 2) > 0.85
-
-
-@pytest.mark.fit
-def test_a_motor_that_answers_within_a_sample_is_told_though_its_inputs_held() -> None:
-    """Taken to run linearly, its inertia looks a quarter as large, and from there the right way led to a seventh."""
-    rng = np.random.default_rng([310729, 300])
-    truth, samples, noise = plain_motor.scattered(rng), 12_000, 0.03
-    time_s, channels = plain_motor.recorded(truth, plain_motor.Test(0.1, samples, 150, True, noise), rng)
-    channels["ambient"] = AMBIENT_C + noise * RATED["temperature"] * rng.standard_normal(samples)
-    spread = {key: Knowledge(0.3 / np.sqrt(3) * y, "plate") for key, y in TYPICAL.items()}
-    file = MotorFile("plate", Motor(**TYPICAL), PLATE, knowledge=spread)
-    found = estimate(file, prepare_all([Recording("held.csv", time_s, channels)], file))
-    assert found.fit.model.held[0][:2] == (True, True)
-    value, sd = found.fit.model.values(), found.fit.sd()
-    off = {key: (value[key] - truth[key]) / sd[key] for key in ("R_a0", "ke", "J", "b", "H")}
-    assert max(map(abs, off.values())) < 3.5, off
-    assert sd["J"] < 0.1 * truth["J"]

@@ -87,9 +87,8 @@ class Timing:
             none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
             held = tuple(run.inputs.hold for run in runs)
             more = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
-            # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: it begins anew, and
-            # goes on from there only if that is no better.
-            for start in (self.begin, point.model.with_values(none)):
+            # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
+            for start in (point.model.with_values(none), self.begin):
                 other = self.near(replace(start, held=held), runs)
                 if gained_without_noise(point, other, self.prior) > (needed(1) if more else 0.0):
                     return other
