@@ -6,6 +6,15 @@ from scipy.signal import lfilter
 
 from motorlens_physics.estimate.signals import Lasting, level_of, noise_sd, smoothed
 
+SIGNALS = {
+    "constant": np.full(6000, 3.0),
+    "sinusoid": 50 * np.sin(np.arange(6000) / 300),
+    "steps": np.repeat(np.random.default_rng(0).uniform(-50, 50, 12), 500),
+    "triangle": 60 * np.abs(np.arange(6000) % 2000 - 1000) / 1000,
+    "steps on a sinusoid": np.repeat(np.random.default_rng(1).uniform(-50, 50, 12), 500)
+    + 10 * np.sin(np.arange(6000) / 50),
+}
+
 
 def test_noise_goes_and_steps_stay():
     rng = np.random.default_rng(0)
@@ -47,19 +56,10 @@ def test_a_level_that_rests_is_averaged_over_all_of_it_with_gaps_and_all():
 
 
 @pytest.mark.parametrize("sd", [0.5, 2.0])
-@pytest.mark.parametrize(
-    ("signal", "most"),
-    [
-        (np.full(6000, 3.0), 0.1),
-        (50 * np.sin(np.arange(6000) / 300), 0.2),
-        (np.repeat(np.random.default_rng(0).uniform(-50, 50, 12), 500), 0.15),
-        (60 * np.abs(np.arange(6000) % 2000 - 1000) / 1000, 0.2),
-        (np.repeat(np.random.default_rng(1).uniform(-50, 50, 12), 500) + 10 * np.sin(np.arange(6000) / 50), 0.35),
-    ],
-    ids=["constant", "sinusoid", "steps", "triangle", "steps on a sinusoid"],
-)  # fmt: skip
-def test_what_smoothing_leaves_of_noise(signal: np.ndarray, most: float, sd: float) -> None:
+@pytest.mark.parametrize(("name", "most"), [*zip(SIGNALS, (0.1, 0.2, 0.15, 0.2, 0.35), strict=True)])
+def test_what_smoothing_leaves_of_noise(name: str, most: float, sd: float) -> None:
     """Of its standard deviation; and by no more than that is the signal bent, of which none is passed on to the noise."""
+    signal = SIGNALS[name]
     noise = sd * np.random.default_rng(7).standard_normal(len(signal))
     left = smoothed(signal + noise, sd=sd) - signal
     assert np.std(left) < most * sd
@@ -67,20 +67,11 @@ def test_what_smoothing_leaves_of_noise(signal: np.ndarray, most: float, sd: flo
     assert -0.01 < left @ noise / (noise @ noise) < most
 
 
-@pytest.mark.parametrize(
-    ("signal", "most"),
-    [
-        (np.full(6000, 3.0), 0.15),
-        (50 * np.sin(np.arange(6000) / 300), 0.5),
-        (np.repeat(np.random.default_rng(0).uniform(-50, 50, 12), 500), 0.5),
-        (60 * np.abs(np.arange(6000) % 2000 - 1000) / 1000, 0.55),
-    ],
-    ids=["constant", "sinusoid", "steps", "triangle"],
-)
+@pytest.mark.parametrize(("name", "most"), [*zip(list(SIGNALS)[:4], (0.15, 0.5, 0.5, 0.55), strict=True)])
 @pytest.mark.parametrize("remains", [0.8, 0.95])
-def test_what_smoothing_leaves_of_coloured_noise(signal: np.ndarray, most: float, remains: float) -> None:
+def test_what_smoothing_leaves_of_coloured_noise(name: str, most: float, remains: float) -> None:
     """Of noise half white, by its deviation; taken for white noise, all that is coloured would be left."""
-    rng = np.random.default_rng(7)
+    signal, rng = SIGNALS[name], np.random.default_rng(7)
     lasts = lfilter([np.sqrt(1 - remains**2)], [1.0, -remains], rng.standard_normal(len(signal)))
     noise = 0.5 * rng.standard_normal(len(signal)) + 0.87 * lasts
     left = smoothed(signal + noise, sd=0.5, lasting=Lasting(0.87, remains)) - signal
