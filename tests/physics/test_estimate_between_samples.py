@@ -5,8 +5,10 @@ import pytest
 from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 
+from motorlens_physics.estimate.between_samples import otherwise
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.weighed import weighed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
@@ -66,3 +68,16 @@ def test_the_deviations_allow_for_what_a_sinusoid_does_not_tell(held: bool) -> N
     # More often told right than wrong.
     assert right > 3
     assert np.abs(off).max() < 3.5 and np.mean(np.abs(off) < 2) > 0.85
+
+
+@pytest.mark.fit
+def test_what_is_open_is_how_far_the_ways_lead_apart_and_not_how_far_both_lead() -> None:
+    """From a resistance that is five deviations off, either way leads back."""
+    found = fitted("sinusoid", True, 1)
+    prior, sd = found.fit.prior, found.fit.sd()["R_a0"]
+    noises = [run.noise for run in found.runs if run.noise is not None]
+    off = found.fit.model.with_values({"R_a0": found.fit.model.values()["R_a0"] + 5 * sd})
+    point = weighed(off, found.runs, noises, [run.there for run in found.runs], prior.keys)
+    (chance,), spread = otherwise(point, prior)
+    k = prior.keys.index("R_a0")
+    assert chance > 0.2 and 0 < spread[k, k] < sd**2
