@@ -130,7 +130,8 @@ def whole(
     """
     point = _with_more(reached, *pieces_of(begin, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, begin, runs, runs, prior, progress)
-    return _with_shaft(point, begin.tolerance, prior)
+    # How long an unmeasured torque lasts was asked where parameters were far, and not of all samples.
+    return _with_shaft(noisier(point, 0, lasting_too=True), begin.tolerance, prior)
 
 
 def near(

@@ -87,11 +87,12 @@ class Timing:
             none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
             held = tuple(run.inputs.hold for run in runs)
             more = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
-            # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray: then it begins anew.
-            for start in (point.model.with_values(none), self.begin):
-                other = self.near(replace(start, held=held), runs)
-                if gained_without_noise(point, other, self.prior) > (needed(1) if more else 0.0):
-                    return other
+            # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
+            starts = (point.model.with_values(none), self.begin)
+            ends = [self.near(replace(start, held=held), runs) for start in starts]
+            other = min(ends, key=lambda end: end.unlikely + self.prior.penalty(end.model.values()))
+            if gained_without_noise(point, other, self.prior) > (needed(1) if more else 0.0):
+                return other
         return point
 
     def _later(self, point: Weighed) -> Weighed:
