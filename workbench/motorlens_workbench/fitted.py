@@ -84,6 +84,7 @@ class Accepted:
         agreed: squared ratio to which blocks of time agree on it, where that told more than Wald's test; else 0.
         beside: other names with which the motor was estimated as well, and the logarithm of how much less likely each is, as
             far as blocks of time agree on that.
+        instead: the name that was fitted in its place in the end, and the logarithm of how much likelier it is.
     """
 
     hypothesis: Hypothesis
@@ -92,3 +93,4 @@ class Accepted:
     weight: float
     agreed: float = 0.0
     beside: Mapping[str, float] = field(default_factory=dict)
+    instead: Mapping[str, float] = field(default_factory=dict)

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.score import Score
-from motorlens_workbench.fitted import Challenger
+from motorlens_workbench.evidence.score import Score, inverse
+from motorlens_workbench.fitted import Challenger, Fitted
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,19 @@ def log_occam(size: Array, information: Array) -> float:
     """
     known = np.linalg.slogdet(information + np.eye(len(information)))[1]
     return float(-0.5 * known - 0.5 * (1 + len(size)) * np.log1p(size @ size))
+
+
+def log_occam_of(hypothesis: Hypothesis, fitted: Fitted) -> float:
+    """See `log_occam`, of a name in a model that has it."""
+    values, prior = fitted.model.values(), fitted.prior
+    keys = [key for key in prior.keys if key.startswith(f"{hypothesis.name}.")]
+    at = [prior.keys.index(key) for key in keys]
+    unit = np.array([abs(hypothesis.typical) if key == hypothesis.key else prior.sd[key] for key in keys])
+    null = fitted.model.file.meaning(hypothesis.key).null or 0.0
+    size = (values[hypothesis.key] - null) / hypothesis.typical
+    pulls = [(values[key] - prior.centre[key]) / prior.sd[key] for key in keys if key != hypothesis.key]
+    information = inverse(fitted.covariance[np.ix_(at, at)] / np.outer(unit, unit)) / CRITERIA.tempered
+    return log_occam(np.array([size]), information) - 0.5 * float(np.sum(np.square(pulls)))
 
 
 def likeliest(challengers: Sequence[Challenger]) -> Challenger:

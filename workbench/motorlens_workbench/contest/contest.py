@@ -14,6 +14,7 @@ import numpy as np
 from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
 from motorlens_workbench.contest.entering import Attempt, enter, enter_anew, heaviest
+from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.needed import beyond_chance, follows, needed_weight, promising
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import consistent, held_score
@@ -98,6 +99,7 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     if remains and nameless is not None and _imitate(nameless[0], here):
         here, accepted = nameless
     unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
+    here, accepted = exchanged(here, accepted, own, say)
     rivals = tuple(rivals_of(here, one) for one in accepted)
     disproved = tuple(name for name in dict.fromkeys(refused) if name in pointed)
     return Outcome(first, here, tuple(accepted), rivals, unnamed, disproved, judged, attempts)

@@ -14,11 +14,11 @@ from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import gained
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.bayes_factor import likeliest, log_occam, posterior, scatter_of
+from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, posterior, scatter_of
 from motorlens_workbench.contest.needed import follows
 from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.score import Score, inverse, log_chance
+from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.refit import anew, begun, nearly, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
@@ -172,7 +172,8 @@ def enter_anew(
     best = min((fitted for _, fitted in made), key=lambda fitted: _unlikely(here, fitted))
     less = {one.name: consistent(likelier_by_block(here, best, fitted), np.inf) for one, fitted in made}
     likely = {
-        one.name: _occam(one, fitted) - 0.5 * less[one.name] / CRITERIA.tempered for one, fitted in made
+        one.name: log_occam_of(one.entry.hypothesis, fitted) - 0.5 * less[one.name] / CRITERIA.tempered
+        for one, fitted in made
     }
     step = nothing
     for one, fitted in sorted(made, key=lambda pair: -likely[pair[0].name]):
@@ -196,19 +197,6 @@ def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effec
     if again is None or _unlikely(here, again) >= step.unlikely:
         return step
     return step.then(_judged(here, one, again, own))
-
-
-def _occam(one: Score, fitted: Fitted) -> float:
-    """See `log_occam`, of a name in a model that has it."""
-    hypothesis, values, prior = one.entry.hypothesis, fitted.model.values(), fitted.prior
-    keys = [key for key in prior.keys if key.startswith(f"{one.name}.")]
-    at = [prior.keys.index(key) for key in keys]
-    unit = np.array([abs(hypothesis.typical) if key == hypothesis.key else prior.sd[key] for key in keys])
-    null = fitted.model.file.meaning(hypothesis.key).null or 0.0
-    size = (values[hypothesis.key] - null) / hypothesis.typical
-    pulls = [(values[key] - prior.centre[key]) / prior.sd[key] for key in keys if key != hypothesis.key]
-    information = inverse(fitted.covariance[np.ix_(at, at)] / np.outer(unit, unit)) / CRITERIA.tempered
-    return log_occam(np.array([size]), information) - 0.5 * float(np.sum(np.square(pulls)))
 
 
 def _unlikely(here: Standing, fitted: Fitted) -> float:

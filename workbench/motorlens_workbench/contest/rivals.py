@@ -66,5 +66,7 @@ def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
     }
     for other, less in accepted.beside.items():
         weights[other] = max(weights.get(other, -np.inf), weights[name] + less)
+    # What has been fitted there needs no linearisation.
+    weights |= {other: weights[name] + more for other, more in accepted.instead.items()}
     total = logsumexp(list(weights.values()))
     return Rivals(name, {other: float(np.exp(w - total)) for other, w in weights.items()}, scores)
