@@ -102,7 +102,7 @@ def _constants() -> list[str]:
     return [
         f"SHRINK, GROW, SAFETY, OPENING = {loop.SHRINK}, {loop.GROW}, {loop.SAFETY}, {loop.OPENING}",
         f"LOCATED, INDUCTANCE = {loop.LOCATED}, {loop.INDUCTANCE}",
-        f"RESOLVED, HALVINGS = {variational.RESOLVED}, {variational.HALVINGS}",
+        f"RESOLVED, HALVINGS, DECAYED = {variational.RESOLVED}, {variational.HALVINGS}, {variational.DECAYED}",
     ]
 
 

@@ -26,6 +26,8 @@ Matrix = Any
 # Time constants in the first part of a step, or in all of it: an exponential is then off by at most 0.002 of where it began
 # (`test_sensitivity.py`). And how often a step is halved at most: what is faster than its thousandth the method damps.
 RESOLVED, HALVINGS = 1.0, 11
+# An oscillation has decayed when as much as that is left of it.
+DECAYED = 0.002
 LOBATTO = ((1 / 6, -1 / 3, 1 / 6), (1 / 6, 5 / 12, -1 / 12), (1 / 6, 2 / 3, 1 / 6))
 
 
@@ -123,6 +125,26 @@ def between(share: float) -> Any:
     return (2 * share - 1) * (share - 1), 4 * share * (1 - share), share * (2 * share - 1)
 
 
+def oscillating(over: Matrix, most: float) -> Any:
+    """First parts, whose matrices are in `over`, in a radian of the fastest oscillation, and until all have decayed.
+
+    A pair of states oscillates if the eigenvalues of its own part of Phi are complex: their angle, and their modulus. What
+    turns by less than a radian in as many parts as there are at most is none.
+    """
+    n = over.shape[0]
+    radian, until = most, 0.0
+    for r in range(n):
+        for c in range(r):
+            mean = 0.5 * (over[r, r] + over[c, c])
+            determinant = over[r, r] * over[c, c] - over[r, c] * over[c, r]
+            if mean * mean < determinant < 1.0:
+                one = 1.0 / math.acos(mean / math.sqrt(determinant))
+                if one < most:
+                    radian = min(radian, one)
+                    until = max(until, 2.0 * math.log(DECAYED) / math.log(determinant))
+    return radian, until
+
+
 def in_parts(transfer: Any, p: Matrix, u: Matrix, h: float, go: float, stiffness: float, to: Any) -> None:
     """The matrices of a step, to `over`, from those of its parts."""
     a, over, part, whole, product = to.a, to.over, to.part, to.whole, to.product
@@ -130,7 +152,8 @@ def in_parts(transfer: Any, p: Matrix, u: Matrix, h: float, go: float, stiffness
     for r in range(n):
         for c in range(width):
             whole[r, c] = 1.0 if r == c else 0.0
-    left, right = 0.0, 2.0 ** -math.ceil(min(math.log2(stiffness / RESOLVED), HALVINGS))
+    first_part = 2.0 ** -math.ceil(min(math.log2(stiffness / RESOLVED), HALVINGS))
+    left, right, radian, until = 0.0, first_part, 1.0, 0.0
     while left < 1.0:
         for q in range(3):
             first, middle, last = between(left + 0.5 * q * (right - left))
@@ -139,6 +162,8 @@ def in_parts(transfer: Any, p: Matrix, u: Matrix, h: float, go: float, stiffness
                     part[q, r, c] = first * a[0, r, c] + middle * a[1, r, c] + last * a[2, r, c]
         transfer(p, h * (right - left), 1.0 - u[IMPOSED + CURRENT], part, over)
         hindered(u, go, over)
+        if left == 0.0:
+            radian, until = oscillating(over, 1.0 / first_part)
         for r in range(n):
             for c in range(width):
                 total = 0.0
@@ -155,7 +180,8 @@ def in_parts(transfer: Any, p: Matrix, u: Matrix, h: float, go: float, stiffness
         for r in range(n):
             for c in range(width):
                 whole[r, c] = product[r, c]
-        left, right = right, 2.0 * right
+        longest = first_part * max(radian, 1.0) if right < first_part * until else math.inf
+        left, right = right, min(right + min(right, longest), 1.0)
     for r in range(n):
         for c in range(width):
             over[r, c] = whole[r, c]

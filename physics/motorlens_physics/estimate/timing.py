@@ -88,9 +88,11 @@ class Timing:
             held = tuple(run.inputs.hold for run in runs)
             more = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
             # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
-            starts = (point.model.with_values(none), self.begin)
-            ends = [self.near(replace(start, held=held), runs) for start in starts]
-            other = min(ends, key=lambda end: end.unlikely + self.prior.penalty(end.model.values()))
+            on, afresh = (
+                self.near(replace(start, held=held), runs)
+                for start in (point.model.with_values(none), self.begin)
+            )
+            other = afresh if gained_without_noise(on, afresh, self.prior) > 0 else on
             if gained_without_noise(point, other, self.prior) > (needed(1) if more else 0.0):
                 return other
         return point

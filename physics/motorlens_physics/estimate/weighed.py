@@ -235,11 +235,6 @@ class Weighed:
         )
         return sum(squares) / self.inflation
 
-    @property
-    def unlikely(self) -> float:
-        """Twice the negative logarithmic likelihood, each run under its own noise."""
-        return sum(float(np.sum(part.read.unlikely)) for part in self.parts) / self.inflation
-
     def cost_in(self, other: "Weighed") -> float:
         """The whitened sum of squares of its errors, seen in the frames of another point."""
         return sum(on_all_cores(Errors.squares, self._in(other))) / self.inflation
