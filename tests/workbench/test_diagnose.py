@@ -111,6 +111,10 @@ def test_an_effect_of_which_only_a_product_is_told_is_named(tmp_path):
     verdict = settle(found)
     assert verdict.chosen == tuple(effect["name"] for effect in made.truth["hidden"])
     assert any("told only together" in sentence and "V_bus" in sentence for sentence in verdict.untold)
+    # No name goes out with an interval that holds nought.
+    text = to_text(to_json(found, verdict, None, ["rec.csv"], "motor.toml"))
+    line = next(line for line in text.splitlines() if line.startswith(verdict.chosen[0].replace("_", " ")))
+    assert "+-" not in text.splitlines()[0] + line and "told only together" in line
 
 
 @pytest.mark.fit

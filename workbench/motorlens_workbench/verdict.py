@@ -136,8 +136,8 @@ def _holds(found: Finding, one: Accepted) -> bool:
     last = found.outcome.last
     seen = own_score(last.plain, last.fitted, one.hypothesis)
     told = seen.gain / (seen.scatter + own_doubt(last, seen, one.hypothesis)) if seen else 0.0
-    only_size = len(_parameters(found, one)) == 1
-    return max(told, one.agreed) > INTERVAL**2 and (not only_size or _told_alone(found, one))
+    only_size = len(own_parameters(found, one)) == 1
+    return max(told, one.agreed) > INTERVAL**2 and (not only_size or told_alone(found, one))
 
 
 def detectable(found: Finding, score: Score) -> float:
@@ -146,7 +146,7 @@ def detectable(found: Finding, score: Score) -> float:
     return score.detectable(needed_weight(last, found.outcome.accepted)) if last.null else float("inf")
 
 
-def _told_alone(found: Finding, one: Accepted) -> bool:
+def told_alone(found: Finding, one: Accepted) -> bool:
     """Whether the deviation of its size, its other parameters varied with it, says as much as that it is there."""
     value, sd = measured(found, one)
     null = found.outcome.last.fitted.model.file.meaning(one.hypothesis.key).null or 0.0
@@ -154,16 +154,18 @@ def _told_alone(found: Finding, one: Accepted) -> bool:
 
 
 def _only_together(found: Finding, one: Accepted) -> str:
-    own = ", ".join(key.rpartition(".")[2] for key in _parameters(found, one))
+    own = ", ".join(own_parameters(found, one))
     return (
         f"{one.hypothesis.name} is there beyond chance, but its parameters ({own}) are told only together: each may be near "
         "nothing."
     )
 
 
-def _parameters(found: Finding, one: Accepted) -> list[str]:
-    """The free parameters of an accepted hypothesis."""
-    return [key for key in found.outcome.last.fitted.prior.keys if key.startswith(f"{one.hypothesis.name}.")]
+def own_parameters(found: Finding, one: Accepted) -> list[str]:
+    """The names of the free parameters of an accepted hypothesis."""
+    begin = f"{one.hypothesis.name}."
+    keys = found.outcome.last.fitted.prior.keys
+    return [key.removeprefix(begin) for key in keys if key.startswith(begin)]
 
 
 def _refused(found: Finding, name: str) -> str:
@@ -240,7 +242,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         said.append(
             f"What the model leaves is correlated as no noise of the sensors is: {why} that is not named here."
         )
-    said += [_only_together(found, one) for one in held if not _told_alone(found, one)]
+    said += [_only_together(found, one) for one in held if not told_alone(found, one)]
     said += [_refused(found, name) for name in refused]
     told = findings(_as_fit(found))
     if told.untold:

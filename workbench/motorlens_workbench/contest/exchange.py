@@ -1,6 +1,7 @@
 """Whether a name that could stand in the place of one that has entered is likelier there, once it is fitted in full.
 
-What the linearised problem says of rivals is bent by the name that is in the model.
+What the linearised problem says of rivals is bent by the name that is in the model. So both are asked: how likely each is
+beside the other, seen from the model that has the one and from the model that has the other.
 """
 
 from collections.abc import Sequence
@@ -10,17 +11,18 @@ import numpy as np
 
 from motorlens_physics.effect import Effect
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.bayes_factor import log_occam_of
-from motorlens_workbench.contest.rivals import rivals_of
-from motorlens_workbench.contest.worth import consistent, held_score
-from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.contest.rivals import Rivals, rivals_of
+from motorlens_workbench.contest.worth import held_score
 from motorlens_workbench.evidence.ledger import Lens, ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, with_hypothesis, without_hypothesis
-from motorlens_workbench.standing import Standing, likelier_by_block, stand, summed
+from motorlens_workbench.standing import Standing, stand, summed
 from motorlens_workbench.telling import Progress
+
+# A probability too small to be told from nought.
+TINY = 1e-300
 
 
 def exchanged(
@@ -45,44 +47,47 @@ def exchanged(
             continue
         say(f"{likeliest.replace('_', ' ')} in the place of {one.hypothesis.name.replace('_', ' ')}")
         other = rivals.scores[likeliest].entry.hypothesis
-        fitted = _in_its_place(here, one.hypothesis, other)
-        if fitted is None:
+        try:
+            there, new = _in_its_place(here, one.hypothesis, other, own)
+        except ModelError:
             continue
-        likelier = _likelier(here, fitted, other) - _likelier(here, here.fitted, one.hypothesis)
-        new = _accepted(fitted, other) if likelier > 0 else None
-        if new is None:
-            names[k] = replace(one, instead={likeliest: min(likelier, 0.0)})
+        seen = _odds(rivals, other, one.hypothesis), _odds(rivals_of(there, new), other, one.hypothesis)
+        likelier = 0.5 * sum(seen)
+        if likelier > 0:
+            here, names[k] = there, replace(new, instead={one.hypothesis.name: -likelier})
         else:
-            here, names[k] = stand(fitted, own), replace(new, instead={one.hypothesis.name: -likelier})
+            names[k] = replace(one, instead={likeliest: likelier})
     return here, names
 
 
-def _in_its_place(here: Standing, one: Hypothesis, other: Hypothesis) -> Fitted | None:
-    """The model with another name in the place of one; None if it cannot be simulated."""
-    lacking = without_hypothesis(here.fitted, one.name)
-    if lacking is None:
-        return None
-    try:
-        base = stand(lacking)
-        book = ledger(base.lines, Lens(base.noises), lacking.prior, [other])
-        beside = book.beside()
-        score = best_of(beside.scores(book.entries)).get(other.name)
-        fitted = None if score is None else with_hypothesis(lacking, beside, score)
-        return None if fitted is None else settled(fitted)
-    except ModelError:
-        return None
+def _odds(rivals: Rivals, other: Hypothesis, one: Hypothesis) -> float:
+    """The logarithm of how much likelier another name is than one."""
+    shares = (max(rivals.probability.get(name, 0.0), TINY) for name in (other.name, one.name))
+    likelier, less = np.log(list(shares))
+    return float(likelier - less)
 
 
-def _likelier(here: Standing, fitted: Fitted, hypothesis: Hypothesis) -> float:
-    """The logarithm of how likely a model is beside that which stands, as far as blocks of time agree on it."""
-    won = likelier_by_block(here, fitted, here.fitted)
-    told = consistent(won, np.inf) - consistent(-won, np.inf)
-    return log_occam_of(hypothesis, fitted) + 0.5 * told / CRITERIA.tempered
+def _in_its_place(
+    here: Standing, one: Hypothesis, other: Hypothesis, own: Sequence[type[Effect]]
+) -> tuple[Standing, Accepted]:
+    """Where the contest stands with another name in the place of one, fitted in full.
+
+    Raises:
+        ModelError: no model can be fitted with it there.
+    """
+    lacking = _fitted(without_hypothesis(here.fitted, one.name), one)
+    base = stand(lacking)
+    book = ledger(base.lines, Lens(base.noises), lacking.prior, [other])
+    beside = book.beside()
+    score = best_of(beside.scores(book.entries)).get(other.name)
+    end = settled(_fitted(None if score is None else with_hypothesis(lacking, beside, score), other))
+    held = held_score(*summed(end), end, other)
+    if held is None:
+        raise ModelError(f"{other.name} is not told in the model that has it")
+    return stand(end, own), Accepted(other, held.gain / held.scatter, held.scatter, held.weight)
 
 
-def _accepted(fitted: Fitted, hypothesis: Hypothesis) -> Accepted | None:
-    """A name that a model has; None where it is not told there."""
-    score = held_score(*summed(fitted), fitted, hypothesis)
-    if score is None:
-        return None
-    return Accepted(hypothesis, score.gain / score.scatter, score.scatter, score.weight)
+def _fitted(fitted: Fitted | None, hypothesis: Hypothesis) -> Fitted:
+    if fitted is None:
+        raise ModelError(f"no model can be fitted with {hypothesis.name} exchanged")
+    return fitted

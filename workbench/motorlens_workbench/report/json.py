@@ -22,7 +22,16 @@ from motorlens_workbench.hypotheses.courses import Course
 from motorlens_workbench.hypotheses.dead_channels import DeadChannel
 from motorlens_workbench.hypotheses.memory import Memory
 from motorlens_workbench.report.page import significant, unit_text
-from motorlens_workbench.verdict import Verdict, detectable, in_its_place, measured, seen_named, sizes
+from motorlens_workbench.verdict import (
+    Verdict,
+    detectable,
+    in_its_place,
+    measured,
+    own_parameters,
+    seen_named,
+    sizes,
+    told_alone,
+)
 
 SHOWN = 12
 
@@ -43,7 +52,7 @@ def to_json(
     names = [name for name in {**first, **last, **dict.fromkeys(verdict.chosen)} if name not in dead]
     entries = [_candidate(found, verdict, name, first.get(name), last.get(name)) for name in names]
     entries.sort(
-        key=lambda entry: (entry["name"] not in verdict.chosen, -entry["probability"], -entry["statistic"])
+        key=lambda entry: (-entry["probability"], entry["name"] not in verdict.chosen, -entry["statistic"])
     )
     document: dict[str, Any] = {
         "schema": "motorlens.diagnose/1",
@@ -111,7 +120,7 @@ def _dead(one: DeadChannel) -> dict[str, Any]:
     return {
         "name": one.name, "kind": "sensor", "equation": one.channel, "gain": 0.0, "statistic": 0.0, "p": 0.0,
         "probability": 1.0, "parameters": {"gain": {"value": one.gain, "sd": one.sd, "unit": "1"}},
-        "minimum_detectable": None, "why_not": "",
+        "minimum_detectable": None, "why_not": "", "told_together": [],
     }  # fmt: skip
 
 
@@ -138,6 +147,9 @@ def _candidate(
         "parameters": sizes(found, name),
         "minimum_detectable": least if np.isfinite(least) else None,
         "why_not": "" if seen is None or seen.possible else "a size that it cannot have",
+        "told_together": []
+        if accepted is None or told_alone(found, accepted)
+        else own_parameters(found, accepted),
     }
 
 
@@ -149,7 +161,8 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     for group, name in zip(verdict.groups, verdict.chosen, strict=True):
         if group[0] in faults:
             continue
-        names = [_words(one) for one in group]
+        likelier = sorted(group, key=lambda one: -verdict.probability[one])
+        names = [_words(one) for one in likelier]
         offered.append(
             f"{names[0]}{_size(found, name)}"
             if len(names) == 1
@@ -203,6 +216,8 @@ def _shape(score: Score) -> str:
 def _size(found: Finding, name: str) -> str:
     for one in found.outcome.accepted:
         if one.hypothesis.name == name:
+            if not told_alone(found, one):
+                return f" ({together_text(own_parameters(found, one))})"
             value, sd = measured(found, one)
             key = one.hypothesis.key
             unit = found.outcome.last.fitted.model.file.meaning(key).unit
@@ -264,12 +279,19 @@ def next_command(document: Mapping[str, Any]) -> str:
 
 def size_text(entry: Mapping[str, Any]) -> str:
     """The size of a candidate with its deviation and unit; "not seen" where it is within its own uncertainty."""
+    if entry["told_together"]:
+        return together_text(entry["told_together"])
     size = next(iter(entry["parameters"].values()), None)
     if size is None or not np.isfinite(size["sd"]):
         return "not seen"
     if entry["probability"] == 0.0 and (entry["p"] > 0.01 or entry["minimum_detectable"] is None):
         return "not seen"
     return f"{size['value']:.3g} +- {size['sd']:.2g} {_unit(size)}".rstrip()
+
+
+def together_text(names: Sequence[str]) -> str:
+    """In the place of sizes that recordings tell only together."""
+    return f"{', '.join(names)} told only together"
 
 
 def least_text(entry: Mapping[str, Any]) -> str:
