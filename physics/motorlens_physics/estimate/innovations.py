@@ -19,16 +19,14 @@ every slow disturbance. Measured channels are taken in one by one, so that no ma
 is left out.
 """
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate import kalman
 from motorlens_physics.estimate.run import STATE_OF
 
 Array = NDArray[np.float64]
@@ -36,11 +34,6 @@ Array = NDArray[np.float64]
 # Disturbances of which the compiler is told the number: unrolled, loops over few are faster. With more, a machine compiles
 # once for all.
 FEW = 5
-# Sums in any order; what is infinite stays so.
-FAST = {"contract", "reassoc", "nsz", "arcp"}
-# Information of a reading, as a share of that of its truth, below which it tells nothing; deviations from which on a tail is
-# taken as its asymptote.
-TELLS_NOTHING, TAIL = 1e-12, 25.0
 # What a filter that reads nothing writes.
 NOTHING = np.zeros((0, 0))
 
@@ -138,7 +131,7 @@ def in_blocks(space: StateSpace, known: Filtered, columns: Array, blocks: Iterab
     states = np.zeros((known.gain.shape[2], columns.shape[2]))
     for rows in blocks:
         white = np.empty((rows.stop - rows.start, *columns.shape[1:]))
-        _filter_on(
+        kalman.forward_again(
             each, space.matrices, space.shows, space.drifts, balances, space.holds, space.keeps, known.scale, known.gain,
             rows.start, states, np.ascontiguousarray(columns[rows]), white,
         )  # fmt: skip
@@ -170,7 +163,7 @@ def sums(space: StateSpace, known: Filtered, columns: Array, blocks: int) -> Sum
 def spread(space: StateSpace) -> Array:
     """(C,) mean variance that the disturbances bring about in what the channels show, beside the sensors' white noise."""
     power = np.zeros(len(space.shows))
-    _spread(
+    kalman.spread(
         _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
         space.keeps, space.variance, np.diag(np.concatenate([space.start, space.variance])), power,
     )  # fmt: skip
@@ -196,7 +189,7 @@ def _filtered(
     white, scale = np.empty(columns.shape), np.empty((samples, channels))
     gain = np.zeros((samples, channels, n + count))
     covariance = np.diag(np.concatenate([space.start, space.variance]))
-    _filter(
+    kalman.forward(
         _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds, space.keeps,
         space.variance, space.noise, covariance, np.zeros((n + count, width)), np.ascontiguousarray(columns), white,
         scale, gain, steps, deviance, unlikely,
@@ -217,358 +210,12 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
     seen, of_inputs, of_channels = (
         np.zeros((len(space.noise), count)), np.zeros((2, count)), np.zeros((2, channels))
     )  # fmt: skip
-    _smooth(
+    kalman.backward(
         _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
         space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
     return seen, of_inputs, of_channels
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-untyped-def]
-    """Where disturbances enter the states (n, D) from sample k to k + 1: as they were at k, and what is new at k + 1."""
-    for d in range(len(balances)):
-        j = balances[d]
-        for r in range(len(G)):
-            if j < 0:
-                G[r, d], late[r, d] = 0.0, 0.0
-                continue
-            first, last = matrices[k, r, len(G) + j], matrices[k, r, len(G) + 3 + j]
-            if holds[d]:
-                G[r, d], late[r, d] = first + last, 0.0
-            else:
-                G[r, d], late[r, d] = first + last * keeps[k, d], last
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _states_ahead(each, matrices, balances, k, G, z, ahead):  # type: ignore[no-untyped-def]
-    """What the states become (n, m) of columns z of states and disturbances, from sample k - 1 to k."""
-    n = len(each)
-    for r in range(n):
-        for m in range(z.shape[1]):
-            total = 0.0
-            for q in range(n):
-                total += matrices[k - 1, r, q] * z[q, m]
-            for d in range(len(balances)):
-                total += G[r, d] * z[n + d, m]
-            ahead[r, m] = total
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P):  # type: ignore[no-untyped-def]
-    """The covariance P of states and disturbances, from sample k - 1 to k."""
-    n, count = len(each), len(balances)
-    # What the states become of states and disturbances, times their covariance.
-    _states_ahead(each, matrices, balances, k, G, P, A)
-    for d in range(count):
-        keep = keeps[k - 1, d]
-        fresh = variance[d] * (1.0 - keep * keep)
-        for e in range(d + 1):
-            total = keep * keeps[k - 1, e] * P[n + e, n + d]
-            if d == e:
-                total += fresh
-            P[n + d, n + e] = total
-            P[n + e, n + d] = total
-        for r in range(n):
-            total = keep * A[r, n + d] + late[r, d] * fresh
-            P[r, n + d] = total
-            P[n + d, r] = total
-    for r in range(n):
-        for c in range(r, n):
-            total = 0.0
-            for q in range(n):
-                total += A[r, q] * matrices[k - 1, c, q]
-            for d in range(count):
-                keep = keeps[k - 1, d]
-                total += A[r, n + d] * G[c, d]
-                total += late[r, d] * late[c, d] * variance[d] * (1.0 - keep * keep)
-            P[r, c] = total
-            P[c, r] = total
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _spread(  # type: ignore[no-untyped-def]
-    each, matrices, shows, drifts, balances, holds, keeps, variance, P, power
-):
-    n, count = len(each), len(balances)
-    A, G, late = np.zeros((n, n + count)), np.zeros((n, count)), np.zeros((n, count))
-    samples = len(keeps) + 1
-    for k in range(samples):
-        if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
-        for c in range(len(shows)):
-            h = shows[c]
-            power[c] += P[h, h] / samples
-            for d in drifts[c]:
-                if d >= 0:
-                    power[c] += (2.0 * P[h, n + d] + P[n + d, n + d]) / samples
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interval(error, power, step):  # type: ignore[no-untyped-def]
-    """A reading so far from where it is expected, with a variance, that tells the truth within half a step of itself.
-
-    Returns:
-        How far from there the mean of the truth is, its share of information, the logarithm of the probability density
-        of the reading, but for a constant, and the largest that this can be.
-    """
-    root = np.sqrt(power)
-    a, b = (abs(error) - 0.5 * step) / root, (abs(error) + 0.5 * step) / root
-    width = np.log(step / np.sqrt(2 * np.pi))
-    most = np.log(math.erf(0.5 * step / (root * np.sqrt(2.0)))) - width
-    if a > TAIL:
-        mean, share = a + 1.0 / a, 1.0 - 1.0 / (a * a)
-        chance = -0.5 * a * a - np.log(a * np.sqrt(2 * np.pi)) - width
-    else:
-        within = 0.5 * (math.erfc(a / np.sqrt(2.0)) - math.erfc(b / np.sqrt(2.0)))
-        below = np.exp(-0.5 * a * a) / np.sqrt(2 * np.pi)
-        above = np.exp(-0.5 * b * b) / np.sqrt(2 * np.pi)
-        mean = (below - above) / within
-        share = mean * mean + (b * above - a * below) / within
-        chance = np.log(within) - width
-    return np.copysign(mean * root, error), min(share, 1.0), chance, most
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead):  # type: ignore[no-untyped-def]
-    """The columns z of states and disturbances, from sample k - 1 to k."""
-    n, width = len(each), z.shape[1]
-    _states_ahead(each, matrices, balances, k, G, z, ahead)
-    for r in range(n):
-        for m in range(width):
-            z[r, m] = ahead[r, m]
-    for d in range(len(balances)):
-        for m in range(width):
-            z[n + d, m] *= keeps[k - 1, d]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _filter(  # type: ignore[no-untyped-def]
-    each,
-    matrices,
-    shows,
-    drifts,
-    balances,
-    holds,
-    keeps,
-    variance,
-    noise,
-    P,
-    z,
-    y,
-    white,
-    scale,
-    gain,
-    steps,
-    deviance,
-    unlikely,
-):
-    # The compiler unrolls loops over tuples.
-    n, count = len(each), len(balances)
-    s, channels, width = n + count, y.shape[1], y.shape[2]
-    A, G, late = np.zeros((n, s)), np.zeros((n, count)), np.zeros((n, count))
-    ahead, K = np.zeros((n, width)), np.zeros(s)
-    for k in range(y.shape[0]):
-        if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
-            _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead)
-        for c in range(channels):
-            h = shows[c]
-            if not noise[k, c] < np.inf:
-                scale[k, c] = np.inf
-                for m in range(width):
-                    white[k, c, m] = 0.0
-                continue
-            for r in range(s):
-                K[r] = P[r, h]
-            for m in range(width):
-                white[k, c, m] = y[k, c, m] - z[h, m]
-            for d in drifts[c]:
-                if d >= 0:
-                    for r in range(s):
-                        K[r] += P[r, n + d]
-                    for m in range(width):
-                        white[k, c, m] -= z[n + d, m]
-            known = K[h]
-            for d in drifts[c]:
-                if d >= 0:
-                    known += K[n + d]
-            power = known + noise[k, c]
-            if steps[c] > 0:
-                power -= steps[c] ** 2 / 12
-                best, share, chance, most = _interval(white[k, c, 0], power, steps[c])
-                deviance[k, c] = 2.0 * (most - chance)
-                unlikely[k, c] = -2.0 * chance
-                if share < TELLS_NOTHING:
-                    noise[k, c], scale[k, c], white[k, c, 0] = np.inf, np.inf, 0.0
-                    continue
-                y[k, c, 0] += best / share - white[k, c, 0]
-                white[k, c, 0] = best / share
-                power /= share
-                noise[k, c] = power - known
-            elif len(deviance):
-                deviance[k, c] = white[k, c, 0] ** 2 / power
-                unlikely[k, c] = deviance[k, c] + np.log(power)
-            root = np.sqrt(power)
-            scale[k, c] = root
-            for r in range(s):
-                K[r] /= root
-                gain[k, c, r] = K[r] / root
-            for m in range(width):
-                white[k, c, m] /= root
-            for r in range(s):
-                for m in range(width):
-                    z[r, m] += K[r] * white[k, c, m]
-            for r in range(s):
-                for q in range(s):
-                    P[r, q] -= K[r] * K[q]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _filter_on(  # type: ignore[no-untyped-def]
-    each, matrices, shows, drifts, balances, holds, keeps, scale, gain, begin, z, y, white
-):
-    """As `_filter`, with its scales and gains as it has found them."""
-    n, count = len(each), len(balances)
-    s, channels, width = n + count, y.shape[1], y.shape[2]
-    G, late, ahead = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, width))
-    for row in range(y.shape[0]):
-        k = begin + row
-        if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead)
-        for c in range(channels):
-            h, root = shows[c], scale[k, c]
-            if not root < np.inf:
-                for m in range(width):
-                    white[row, c, m] = 0.0
-                continue
-            for m in range(width):
-                white[row, c, m] = y[row, c, m] - z[h, m]
-            for d in drifts[c]:
-                if d >= 0:
-                    for m in range(width):
-                        white[row, c, m] -= z[n + d, m]
-            for m in range(width):
-                white[row, c, m] /= root
-            for r in range(s):
-                # A gain is that of an innovation in the channel's unit.
-                of_white = gain[k, c, r] * root
-                for m in range(width):
-                    z[r, m] += of_white * white[row, c, m]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _smooth(  # type: ignore[no-untyped-def]
-    each,
-    matrices,
-    shows,
-    drifts,
-    balances,
-    holds,
-    keeps,
-    variance,
-    white,
-    scale,
-    gain,
-    seen,
-    of_inputs,
-    of_channels,
-):
-    n, count = len(each), len(balances)
-    s, samples, channels = n + count, white.shape[0], white.shape[1]
-    G, late, fresh, share = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count), np.zeros(count)
-    u, past, W = np.zeros(s), np.zeros(s), np.zeros(s)
-    L, T, at = np.zeros((s, s)), np.zeros((s, s)), np.zeros(1 + drifts.shape[1], np.int64)
-    for back in range(samples):
-        k = samples - 1 - back
-        for step in range(channels):
-            c = channels - 1 - step
-            if not scale[k, c] < np.inf:
-                continue
-            h, power = shows[c], scale[k, c] ** 2
-            # u <- H' v / power + (I - K H)' u, and the same of its covariance L.
-            along, across = 0.0, 0.0
-            for r in range(s):
-                along += gain[k, c, r] * u[r]
-                total = 0.0
-                for q in range(s):
-                    total += L[r, q] * gain[k, c, q]
-                W[r] = total
-                across += gain[k, c, r] * total
-            error = white[k, c] / scale[k, c] - along
-            of_channels[0, c] += error**2
-            of_channels[1, c] += 1.0 / power + across
-            at[0], shown = h, 1
-            for d in drifts[c]:
-                if d >= 0:
-                    at[shown] = n + d
-                    shown += 1
-            for a in range(shown):
-                u[at[a]] += error
-                for r in range(s):
-                    L[r, at[a]] -= W[r]
-                    L[at[a], r] -= W[r]
-                for b in range(shown):
-                    L[at[a], at[b]] += 1.0 / power + across
-        if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
-        for d in range(count):
-            # What is new in a disturbance at this sample; at the first, all of it.
-            share[d] = 1.0
-            if k:
-                share[d] -= keeps[k - 1, d] ** 2
-            fresh[d] = variance[d] * share[d]
-            score, spread = u[n + d], L[n + d, n + d]
-            if k and not holds[d]:
-                for r in range(n):
-                    score += late[r, d] * u[r]
-                    spread += 2.0 * late[r, d] * L[r, n + d]
-                    for q in range(n):
-                        spread += late[r, d] * L[r, q] * late[q, d]
-            seen[k, d] = fresh[d] * score
-            of_inputs[0, d] += share[d] * score**2
-            of_inputs[1, d] += share[d] * spread
-        if k:
-            for c in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += matrices[k - 1, q, c] * u[q]
-                past[c] = total
-            for d in range(count):
-                total = keeps[k - 1, d] * u[n + d]
-                for q in range(n):
-                    total += G[q, d] * u[q]
-                past[n + d] = total
-            for r in range(s):
-                u[r] = past[r]
-                for c in range(n):
-                    total = 0.0
-                    for q in range(n):
-                        total += L[r, q] * matrices[k - 1, q, c]
-                    T[r, c] = total
-                for d in range(count):
-                    total = keeps[k - 1, d] * L[r, n + d]
-                    for q in range(n):
-                        total += L[r, q] * G[q, d]
-                    T[r, n + d] = total
-            for c in range(s):
-                for r in range(n):
-                    total = 0.0
-                    for q in range(n):
-                        total += matrices[k - 1, q, r] * T[q, c]
-                    L[r, c] = total
-                for d in range(count):
-                    total = keeps[k - 1, d] * T[n + d, c]
-                    for q in range(n):
-                        total += G[q, d] * T[q, c]
-                    L[n + d, c] = total
-    for k in range(1, samples):
-        for d in range(count):
-            seen[k, d] += keeps[k - 1, d] * seen[k - 1, d]
 
 
 def share_that_remains(time_s: Array, lasts_s: Array) -> Array:
@@ -577,18 +224,3 @@ def share_that_remains(time_s: Array, lasts_s: Array) -> Array:
     for d in np.flatnonzero(lasts_s > 0):
         keeps[:, d] = np.exp(-steps / lasts_s[d])
     return keeps
-
-
-__all__: list[Any] = [
-    "Filtered",
-    "Read",
-    "StateSpace",
-    "Sums",
-    "disturbances",
-    "in_blocks",
-    "innovations",
-    "read",
-    "share_that_remains",
-    "spread",
-    "sums",
-]
