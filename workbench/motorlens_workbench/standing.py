@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.innovations import read
 from motorlens_physics.estimate.model import error_of, predict
-from motorlens_physics.estimate.noise import UNEXPLAINED, Noise, likelier
+from motorlens_physics.estimate.noise import UNEXPLAINED, Noise
+from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import moved_on

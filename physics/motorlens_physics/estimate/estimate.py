@@ -18,7 +18,7 @@ import numpy as np
 from motorlens_physics.estimate.between_samples import otherwise
 from motorlens_physics.estimate.fit import CONVERGED, Fit, inverse, start_model
 from motorlens_physics.estimate.model import Model, predict
-from motorlens_physics.estimate.noise import PIECE
+from motorlens_physics.estimate.noise_likelihood import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
 from motorlens_physics.estimate.prior import Prior, base_prior
 from motorlens_physics.estimate.report import Findings, findings

@@ -18,16 +18,8 @@ from motorlens_physics.estimate.fit import minimise
 from motorlens_physics.estimate.innovations import Read, Sums, disturbances, read, sums
 from motorlens_physics.estimate.input_noise import share_that_is_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
-from motorlens_physics.estimate.noise import (
-    LOAD,
-    OUTLIER,
-    VOLTAGE,
-    Noise,
-    coloured,
-    first_noise,
-    lasting,
-    likelier,
-)
+from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise
+from motorlens_physics.estimate.noise_likelihood import coloured, lasting, likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import smoothed

@@ -1,0 +1,225 @@
+"""The noise under which the errors of a recording are likeliest: its variances, and how long what lasts of it lasts.
+
+The score of every variance comes from the filter run backwards (`innovations.disturbances`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, rfft
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtri
+
+from motorlens_physics.estimate.innovations import StateSpace, disturbances, read
+from motorlens_physics.estimate.noise import LASTS, TINY, TORQUE, Noise
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.sensitivity import Linearisation
+
+Array = NDArray[np.float64]
+
+# A torque may be over in so few samples only where the motor follows in as few: elsewhere it would pass for whatever is
+# missing. Within a sample only where no load was measured.
+SHORT, WITHIN_A_SAMPLE = 3.0, 1.0
+# Over how many samples coloured noise is correlated: the shortest, the usual, and what is no noise if that is the likeliest:
+# the errors of a model that lacks something mostly last longer.
+CORRELATED = (3.0, 30.0, 60.0)
+# How near the logarithm of that number is sought.
+DURATION = 0.1
+# Squared autocorrelations that it may leave, over those of as much white noise. `test_estimate_coloured_noise.py` shows both
+# sides: at 1.1 noise is refused, and the backlash of a shaft leaves 4.5.
+WHITE = 3.3
+# Parts of a recording, and the most by which their mean powers may scatter, as a share: of noise less than 0.3, even where a
+# ripple comes and goes; of a real motor's missing drop, friction or iron 0.8 and more.
+PARTS, UNEVEN = 16, 0.5
+# How often coloured noise may be found where there is none.
+CHANCE = 0.01
+# Updates of the noise before two durations are compared. A torque as short as a sample is told from the sensors' white noise
+# only once both have converged.
+ROUGHLY, CONVERGED = 6, 30
+# Samples in a stretch of a long recording, and how many stretches the variances are estimated from: as many samples as tell
+# a variance within 2 %.
+STRETCH, STRETCHES = 1024, 6
+PIECE = STRETCH * STRETCHES
+# Variances have settled when an update gains less than this in twice the logarithmic likelihood: a twentieth of a standard
+# deviation of the least known of them.
+ENOUGH = 0.0025
+# Any share of what is rough of a measured input may be noise, each as likely as another. On the scale of logarithms, on
+# which variances are sought, twice the logarithm of that density rises by so many times the logarithm of the variance.
+UNIFORM = 2.0
+# An extrapolation takes updates to shorten by this share at the slowest, and goes this far in the logarithm.
+SLOWEST, FARTHEST = 0.95, 3.0
+
+
+def likelier(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_], updates: int
+) -> tuple[Noise, float]:
+    """Noise under which the errors (N, C) are likelier, and twice their negative logarithmic likelihood.
+
+    What is known beforehand of the inputs' noise (`UNIFORM`) is part of it.
+
+    Of both, samples tell at which the recording does not rest (`Run.rests`).
+
+    Every update raises the likelihood, but nears its end by a constant share: after two, each variance leaps to where that
+    would end (Aitken's extrapolation), and comes back if the likelihood there is lower.
+    """
+    space = noise.space(run, linear, used & ~run.rests[:, None])
+    parts = [(_stretch(space, rows, error), error[rows]) for rows in _stretches(len(error))]
+    path, back, total = [noise], noise, float("inf")
+    for _ in range(updates):
+        leapt = back is not path[-1] and len(path) == 1
+        after, here = _updated(path[-1], parts)
+        if leapt and here > total:
+            path = [back]
+            continue
+        won, total = total - here, here
+        back = after
+        path.append(after)
+        if won < ENOUGH:
+            break
+        if len(path) == 3:
+            path = [_leap(*path)]
+    return back, total
+
+
+def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[Noise, float]:
+    """One step of maximum likelihood from a noise, and twice the negative logarithmic likelihood before it."""
+    total, inputs, sensors = 0.0, np.zeros((2, len(parts[0][0].variance))), np.zeros((2, len(noise.channels)))
+    for part, error in parts:
+        here = replace(
+            part,
+            variance=np.append(noise.disturbances, part.variance[len(noise.disturbances) :]),
+            noise=np.where(np.isfinite(part.noise), noise.channels + part.steps**2 / 12, np.inf),
+        )
+        seen = read(here, error)
+        total += float(np.sum(seen.unlikely))
+        _, of_inputs, of_channels = disturbances(seen.space, seen.filtered)
+        inputs, sensors = inputs + of_inputs, sensors + of_channels
+    # Where the errors do not tell it from the channels' own noise, an input is as noisy as it looks.
+    measured = noise.of_measured_inputs
+    inputs[0, measured] += UNIFORM / noise.disturbances[measured]
+    total -= UNIFORM * float(np.sum(np.log(noise.disturbances[measured] / noise.most[measured])))
+    # To the full ratio, not its root: it is a fixed point of both, and nearer.
+    ratio = _ratio(inputs[:, : len(noise.disturbances)])
+    return noise.within(noise.channels * _ratio(sensors), noise.disturbances * ratio), total
+
+
+def _leap(before: Noise, between: Noise, after: Noise) -> Noise:
+    """Where three noises end, if each logarithm of a variance goes on by the share by which it went less far than before."""
+
+    def end(x: Array, y: Array, z: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = np.log(y / x), np.log(z / y)
+            share = np.where(first != 0, second / first, 0.0)
+            more = second * share / (1 - np.clip(share, -1.0, SLOWEST))
+        return np.asarray(z * np.exp(np.clip(np.nan_to_num(more), -FARTHEST, FARTHEST)))
+
+    return after.within(
+        end(before.channels, between.channels, after.channels),
+        end(before.disturbances, between.disturbances, after.disturbances),
+    )
+
+
+def _ratio(score: Array) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(score[1] > 0, score[0] / score[1], 1.0)
+    return np.clip(ratio, 0.05, 20.0)
+
+
+def _stretches(samples: int) -> list[slice]:
+    if samples <= PIECE:
+        return [slice(0, samples)]
+    begins = np.linspace(0, samples - STRETCH, STRETCHES).astype(int)
+    return [slice(int(begin), int(begin) + STRETCH) for begin in begins]
+
+
+def _stretch(space: StateSpace, rows: slice, error: Array) -> StateSpace:
+    if rows == slice(0, len(error)):
+        return space
+    start = np.zeros_like(space.start)
+    if rows.start:
+        # What came before has left the states anywhere within what the errors are.
+        start[space.shows] = np.mean(error**2, axis=0)
+    return replace(
+        space, matrices=space.matrices[rows.start : rows.stop - 1], keeps=space.keeps[rows.start : rows.stop - 1],
+        noise=space.noise[rows], start=start,
+    )  # fmt: skip
+
+
+def lasting(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_], response_s: float
+) -> Noise:
+    """The noise with the unmeasured torque lasting as long as makes the errors likeliest.
+
+    Args:
+        noise: of the run.
+        run: the recording.
+        linear: the motor linearised along it.
+        error: (N, C) of its channels.
+        used: (N, C) samples that count.
+        response_s: how long the motor takes to follow a torque.
+    """
+    durations, updates = _of_torque(run, response_s)
+    tried = [
+        likelier(noise.lasting(samples * run.period_s), run, linear, error, used, updates)
+        for samples in (*durations, *LASTS)
+    ]
+    return min(tried, key=lambda one: one[1])[0]
+
+
+def _of_torque(run: Run, response_s: float) -> tuple[tuple[float, ...], int]:
+    """In how few samples a torque that nobody measured may be over, if in few, and updates that tell it from noise."""
+    # Beside a load that was measured it would be that sensor's noise, which is in the inputs.
+    if response_s < run.period_s and "load_torque" not in run.known:
+        return (WITHIN_A_SAMPLE, SHORT), CONVERGED
+    return ((SHORT,) if response_s < SHORT * run.period_s else ()), ROUGHLY
+
+
+def coloured(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_], response_s: float
+) -> Noise:
+    """The noise with coloured noise of all sensors besides, if that is what the errors are; itself if it is not.
+
+    It must be likelier beyond chance, last no longer than noise does, leave white noise, and be the same throughout: errors
+    of a model that lacks something are correlated as well, but for longer, and otherwise at one time than at another.
+
+    Args: as of `lasting`, at parameters near the best: what is wrong with them lasts as well.
+    """
+    durations, updates = _of_torque(run, response_s)
+    # The torque may have stood for noise, or noise for the torque: how long both last is sought together.
+    begins = [noise.with_small_torque(run, samples) for samples in (*durations, LASTS[1])]
+    cost = min(likelier(one, run, linear, error, used, updates)[1] for one in (noise, *begins))
+
+    def tried(near: Noise, samples: float) -> tuple[Noise, float]:
+        return likelier(near.correlated(samples * run.period_s), run, linear, error, used, updates)
+
+    shortest, usual, longest = CORRELATED
+    first = [
+        (tried(begin.coloured(run, error, samples), samples), begin)
+        for begin in begins
+        for samples in (shortest, usual)
+    ]
+    (other, least), begin = min(first, key=lambda one: one[0][1])
+    if cost - least < chdtri(TORQUE + len(run.channels), CHANCE / len(first)):
+        return noise
+    if least - tried(begin.coloured(run, error, longest), longest)[1] > chdtri(1, CHANCE):
+        return noise
+    likeliest = minimize_scalar(
+        lambda logarithm: tried(other, np.exp(logarithm))[1],
+        bounds=(float(np.log(shortest)), float(np.log(longest))),
+        method="bounded",
+        options={"xatol": DURATION},
+    )
+    other, _ = tried(other, np.exp(likeliest.x))
+    left = read(other.space(run, linear, used), error).filtered.white[:, :, 0]
+    powers = np.array([np.mean(part**2) for part in np.array_split(left, PARTS)])
+    return other if _correlation(left) < WHITE and np.std(powers) < UNEVEN * np.mean(powers) else noise
+
+
+def _correlation(white: Array) -> float:
+    """The sum of the squared autocorrelations of innovations (N, C), over that of white noise (Box and Pierce 1970)."""
+    samples, lags = len(white), round(max(CORRELATED))
+    lagged = irfft(np.abs(rfft(white, 2 * samples, axis=0)) ** 2, axis=0)[: 1 + lags]
+    shares = lagged[1:] / np.maximum(lagged[0], TINY)
+    return float(np.mean(np.sum(shares**2, axis=0)) * samples / lags)
