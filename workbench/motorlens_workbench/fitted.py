@@ -84,7 +84,7 @@ class Accepted:
         agreed: squared ratio to which blocks of time agree on it, where that told more than Wald's test; else 0.
         beside: other names with which the motor was estimated as well, and the logarithm of how much less likely each is, as
             far as blocks of time agree on that.
-        instead: the name that was fitted in its place in the end, and the logarithm of how much likelier it is.
+        instead: names that were fitted in its place in the end, and the logarithm of how much likelier each is.
     """
 
     hypothesis: Hypothesis

@@ -11,6 +11,7 @@ from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.needed import follows, needed_weight
+from motorlens_workbench.contest.rivals import Rivals
 from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import CRITERIA, INTERVAL
 from motorlens_workbench.diagnose import Finding
@@ -54,7 +55,7 @@ def settle(found: Finding) -> Verdict:
         for one, rivals in zip(outcome.accepted, outcome.rivals, strict=True)
         if _holds(found, one)
     ]
-    groups = [tuple(name for name in rivals.group if name in _names(found))[:GROUP] for _, rivals in held]
+    groups = _groups([rivals for _, rivals in held], _names(found))
     probability = dict.fromkeys(_names(found), 0.0)
     for _, rivals in held:
         for name, share in rivals.probability.items():
@@ -76,6 +77,20 @@ def settle(found: Finding) -> Verdict:
         shape,
         tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
     )
+
+
+def _groups(rivals: Sequence[Rivals], names: Collection[str]) -> list[tuple[str, ...]]:
+    """The groups of the names that hold; what could stand in more than one place stands where it is likeliest."""
+
+    def place(name: str) -> int:
+        own = next((k for k, one in enumerate(rivals) if one.name == name), None)
+        likely = [one.probability.get(name, 0.0) for one in rivals]
+        return likely.index(max(likely)) if own is None else own
+
+    return [
+        tuple(name for name in one.group if name in names and place(name) == k)[:GROUP]
+        for k, one in enumerate(rivals)
+    ]
 
 
 def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  # type: ignore[type-arg]

@@ -33,7 +33,6 @@ from motorlens_physics.estimate.weighed import (
     minimised,
     noisier,
     with_colour,
-    with_durations,
     with_rough_inputs,
 )
 from motorlens_physics.motor_file import MotorFile
@@ -131,8 +130,7 @@ def whole(
     """
     point = _with_more(reached, *pieces_of(begin, runs, FARTHER * PIECE), runs, prior, progress)
     point = _with_more(point, begin, runs, runs, prior, progress)
-    # How long an unmeasured torque lasts was asked where parameters were far, and not of all samples.
-    return _with_shaft(with_durations(point), begin.tolerance, prior)
+    return _with_shaft(point, begin.tolerance, prior)
 
 
 def near(

@@ -92,7 +92,7 @@ class Timing:
                 self.near(replace(start, held=held), runs)
                 for start in (point.model.with_values(none), self.begin)
             )
-            other = afresh if gained_without_noise(on, afresh, self.prior) > 0 else on
+            other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
             if gained_without_noise(point, other, self.prior) > (needed(1) if more else 0.0):
                 return other
         return point

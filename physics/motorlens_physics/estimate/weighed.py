@@ -343,16 +343,6 @@ def with_colour(point: Weighed) -> Weighed:
     return _with_parts(point, tuple(on_all_cores(Errors.with_colour, point.parts)))
 
 
-def with_durations(point: Weighed) -> Weighed:
-    """A point near the best parameters with unmeasured torques that last as long as is likeliest; itself if they do."""
-
-    def one(part: Errors) -> Errors:
-        other = part.with_duration()
-        return part if np.array_equal(other.noise.lasts_s, part.noise.lasts_s) else other
-
-    return _with_parts(point, tuple(on_all_cores(one, point.parts)))
-
-
 def _with_parts(point: Weighed, parts: tuple[Errors, ...]) -> Weighed:
     """The point with other noise; itself if it is the same."""
     if all(one is part for one, part in zip(parts, point.parts, strict=True)):

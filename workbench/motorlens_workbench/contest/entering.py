@@ -212,8 +212,8 @@ def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect
     try:
         end = settled(start)
         told = worth(here, one, end)
-        score, judged = told.score, {one.name: told.times}
-        if score is None or told.times < 1.0:
+        judged, entered = {one.name: told.times}, told.accepted(one.entry.hypothesis)
+        if entered is None:
             kept = here.unlikely - unlikely_from(here, told.lacking)
             if -log_chance(max(kept, 0.0), 1) < told.needed:
                 return Step(refused=(one.name,), judged=judged, attempts={one.name: (here.fitted, end)})
@@ -222,13 +222,6 @@ def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect
         then, unlikely = stand(end, own), unlikely_from(here, end)
     except ModelError:
         return Step(refused=(one.name,))
-    entered = Accepted(
-        one.entry.hypothesis,
-        score.gain / score.scatter,
-        score.scatter,
-        score.weight,
-        told.agreed,
-    )
     return Step(then, entered, judged=judged, unlikely=unlikely)
 
 

@@ -1,7 +1,8 @@
 """Whether a name that could stand in the place of one that has entered is likelier there, once it is fitted in full.
 
 What the linearised problem says of rivals is bent by the name that is in the model. So both are asked: how likely each is
-beside the other, seen from the model that has the one and from the model that has the other.
+beside the other, seen from the model that has the one and from the model that has the other. And what stands in the end must
+leave what is likelier, as noise.
 """
 
 from collections.abc import Sequence
@@ -12,15 +13,17 @@ import numpy as np
 from motorlens_physics.effect import Effect
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
-from motorlens_workbench.contest.worth import held_score
+from motorlens_workbench.contest.worth import worth
 from motorlens_workbench.evidence.ledger import Lens, ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, with_hypothesis, without_hypothesis
-from motorlens_workbench.standing import Standing, stand, summed
+from motorlens_workbench.standing import Standing, stand, unlikely_from
 from motorlens_workbench.telling import Progress
 
+# Rivals that are fitted in the place of one name.
+TRIED = 6
 # A probability too small to be told from nought.
 TINY = 1e-300
 
@@ -40,24 +43,34 @@ def exchanged(
         where it stands then, and the names in their order; each knows how likely what was tried in its place is.
     """
     names = list(accepted)
-    for k, one in enumerate(names):
-        rivals = rivals_of(here, one)
-        likeliest = max(rivals.probability, key=lambda name: rivals.probability[name])
-        if likeliest == one.hypothesis.name:
-            continue
-        say(f"{likeliest.replace('_', ' ')} in the place of {one.hypothesis.name.replace('_', ' ')}")
-        other = rivals.scores[likeliest].entry.hypothesis
-        try:
-            there, new = _in_its_place(here, one.hypothesis, other, own)
-        except ModelError:
-            continue
-        seen = _odds(rivals, other, one.hypothesis), _odds(rivals_of(there, new), other, one.hypothesis)
-        likelier = 0.5 * sum(seen)
-        if likelier > 0:
-            here, names[k] = there, replace(new, instead={one.hypothesis.name: -likelier})
-        else:
-            names[k] = replace(one, instead={likeliest: likelier})
+    for k in range(len(names)):
+        for _ in range(TRIED):
+            rivals = rivals_of(here, names[k])
+            likeliest = max(rivals.probability, key=lambda name: rivals.probability[name])
+            if likeliest in (names[k].hypothesis.name, *names[k].instead):
+                break
+            say(f"{_words(likeliest)} in the place of {_words(names[k].hypothesis.name)}")
+            here, names[k] = _likelier(here, names[k], rivals, likeliest, own)
     return here, names
+
+
+def _likelier(
+    here: Standing, accepted: Accepted, rivals: Rivals, name: str, own: Sequence[type[Effect]]
+) -> tuple[Standing, Accepted]:
+    """Where the contest stands with a name that has entered, or with a rival of this name in its place if it is likelier."""
+    one, other = accepted.hypothesis, rivals.scores[name].entry.hypothesis
+    try:
+        there, new = _in_its_place(here, one, other, own)
+    except ModelError:
+        return here, replace(accepted, instead={**accepted.instead, name: -np.inf})
+    likelier = 0.5 * (_odds(rivals, other, one) + _odds(rivals_of(there, new), other, one))
+    if likelier > 0 and unlikely_from(here, there.fitted) < here.unlikely:
+        return there, replace(new, instead={one.name: -likelier})
+    return here, replace(accepted, instead={**accepted.instead, name: min(likelier, 0.0)})
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _odds(rivals: Rivals, other: Hypothesis, one: Hypothesis) -> float:
@@ -73,18 +86,20 @@ def _in_its_place(
     """Where the contest stands with another name in the place of one, fitted in full.
 
     Raises:
-        ModelError: no model can be fitted with it there.
+        ModelError: no model can be fitted with it there, or it is not beyond chance.
     """
     lacking = _fitted(without_hypothesis(here.fitted, one.name), one)
     base = stand(lacking)
     book = ledger(base.lines, Lens(base.noises), lacking.prior, [other])
     beside = book.beside()
     score = best_of(beside.scores(book.entries)).get(other.name)
-    end = settled(_fitted(None if score is None else with_hypothesis(lacking, beside, score), other))
-    held = held_score(*summed(end), end, other)
-    if held is None:
-        raise ModelError(f"{other.name} is not told in the model that has it")
-    return stand(end, own), Accepted(other, held.gain / held.scatter, held.scatter, held.weight)
+    if score is None:
+        raise ModelError(f"{other.name} explains nothing there")
+    end = settled(_fitted(with_hypothesis(lacking, beside, score), other))
+    accepted = worth(base, score, end).accepted(other)
+    if accepted is None:
+        raise ModelError(f"{other.name} is not beyond chance in the model that has it")
+    return stand(end, own), accepted
 
 
 def _fitted(fitted: Fitted | None, hypothesis: Hypothesis) -> Fitted:

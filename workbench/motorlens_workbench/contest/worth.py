@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger
 from motorlens_workbench.evidence.score import Entry, Score, log_chance
-from motorlens_workbench.fitted import Fitted
+from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, without_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, summed, unlikely_from
@@ -95,6 +95,13 @@ class Worth:
     def times(self) -> float:
         """Its weight in multiples of what it needs."""
         return self.score.weight / self.needed if self.score else 0.0
+
+    def accepted(self, hypothesis: Hypothesis) -> Accepted | None:
+        """The hypothesis as it enters the model; None if it is not beyond chance there."""
+        score = self.score
+        if score is None or self.times < 1.0:
+            return None
+        return Accepted(hypothesis, score.gain / score.scatter, score.scatter, score.weight, self.agreed)
 
 
 def worth(here: Standing, one: Score, end: Fitted) -> Worth:
