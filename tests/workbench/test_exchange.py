@@ -52,7 +52,7 @@ def test_what_was_put_in_takes_the_place_of_what_had_entered(bare: Standing, wro
     assert then.fitted.model.values()[other.hypothesis.key] == pytest.approx(FRICTION_NM, rel=0.1)
     assert then.unlikely < here.unlikely - 20
     # What it was exchanged for has been fitted as well, and is no rival any more.
-    assert rivals_of(then, other).probability[wrong] < 1e-3
+    assert rivals_of(then, other).probability.get(wrong, 0.0) < 1e-3
 
 
 @pytest.mark.fit

@@ -47,7 +47,9 @@ def exchanged(
         for _ in range(TRIED):
             rivals = rivals_of(here, names[k])
             likeliest = max(rivals.probability, key=lambda name: rivals.probability[name])
-            if likeliest in (names[k].hypothesis.name, *names[k].instead):
+            # Of names with which the motor was estimated from the beginning some may explain nothing from here.
+            tried = (names[k].hypothesis.name, *names[k].instead)
+            if likeliest in tried or likeliest not in rivals.scores:
                 break
             say(f"{_words(likeliest)} in the place of {_words(names[k].hypothesis.name)}")
             here, names[k] = _likelier(here, names[k], rivals, likeliest, own)
