@@ -15,8 +15,10 @@ from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import Inputs, simulate
-from motorlens_workbench.contest import worth
+from motorlens_workbench.contest import contest as contest_module
+from motorlens_workbench.contest import needed, worth
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor
+from motorlens_workbench.contest.entering import Step
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import consistent, held_score
 from motorlens_workbench.diagnose import fitted_of
@@ -68,6 +70,30 @@ def test_a_name_is_held_by_the_weaker_of_both_ways_to_take_the_noise(monkeypatch
     assert held_score("book", "plain", None, None).weight == 7.0  # type: ignore[arg-type,union-attr]
     told[weaker] = None  # type: ignore[assignment]
     assert held_score("book", "plain", None, None) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("times", "colour", "tried"), [(4.0, 50.0, []), (4.0, 150.0, ["coupling"]), (5.0, 50.0, ["coupling"])]
+)
+def test_what_is_correlated_as_no_noise_is_estimated_anew_with_names_before_it_is_called_unknown(
+    monkeypatch, times, colour, tried
+):
+    """Nothing is beyond chance; a blind case showed a magnet that warms, four times the noise off, and was given up."""
+    rest = SimpleNamespace(entry=SimpleNamespace(hypothesis=SimpleNamespace(equation="coupling")))
+    here = SimpleNamespace(rest=rest, book=SimpleNamespace(colour=colour), lines=(), challengers=())
+    equations = []
+
+    def enter_anew(here, equation, *rest):
+        equations.append(equation)
+        return Step()
+
+    monkeypatch.setattr(needed, "times_noise", lambda book, lines: times)
+    monkeypatch.setattr(contest_module, "stand", lambda base, own: here)
+    monkeypatch.setattr(contest_module, "enter_anew", enter_anew)
+    for name in ("beyond_chance", "promising"):
+        monkeypatch.setattr(contest_module, name, lambda *of: [])
+    contest_module.contest(SimpleNamespace(runs=[SimpleNamespace(moves=True)]))  # type: ignore[arg-type]
+    assert equations == tried
 
 
 @pytest.mark.parametrize(("named", "least", "most"), [(True, 1e-5, 1e-4), (False, 1e-9, 1e-8)])

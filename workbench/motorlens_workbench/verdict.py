@@ -10,7 +10,7 @@ from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.needed import follows, needed_weight
+from motorlens_workbench.contest.needed import leaves_noise, needed_weight
 from motorlens_workbench.contest.rivals import Rivals
 from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import CRITERIA, INTERVAL
@@ -103,7 +103,7 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
         heaviest = last.rest
         if not any(run.moves for run in found.runs):
             return "not_testable", None
-        if heaviest is not None and not (follows(last) and last.book.colour <= CRITERIA.white):
+        if heaviest is not None and not leaves_noise(last):
             return "unknown", heaviest.entry.hypothesis.equation
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
         return ("not_testable" if blind else "adequate"), None

@@ -55,3 +55,8 @@ def promising(here: Standing, refused: Sequence[str]) -> list[Challenger]:
 def follows(here: Standing) -> bool:
     """Whether a model leaves no more than noise does where nothing is missing."""
     return times_noise(here.book, here.lines) <= CRITERIA.follows
+
+
+def leaves_noise(here: Standing) -> bool:
+    """Whether what a model leaves is no more than noise, and no more correlated, than where nothing is missing."""
+    return follows(here) and here.book.colour <= CRITERIA.white

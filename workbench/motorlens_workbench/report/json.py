@@ -146,7 +146,7 @@ def _candidate(
         "probability": verdict.probability.get(name, 0.0),
         "parameters": sizes(found, name),
         "minimum_detectable": least if np.isfinite(least) else None,
-        "why_not": "" if seen is None or seen.possible else "a size that it cannot have",
+        "why_not": "" if accepted or seen is None or seen.possible else "a size that it cannot have",
         "told_together": []
         if accepted is None or told_alone(found, accepted)
         else own_parameters(found, accepted),
