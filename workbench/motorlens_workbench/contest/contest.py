@@ -15,7 +15,7 @@ from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
 from motorlens_workbench.contest.entering import Attempt, enter, enter_anew, heaviest
 from motorlens_workbench.contest.exchange import exchanged
-from motorlens_workbench.contest.needed import beyond_chance, leaves_noise, needed_weight, promising
+from motorlens_workbench.contest.needed import beyond_chance, follows, leaves_noise, needed_weight, promising
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import consistent, held_score
 from motorlens_workbench.evidence.score import Score
@@ -75,7 +75,9 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     while len(accepted) < EFFECTS and entered < 2 * EFFECTS:
         challengers = beyond_chance(here, accepted, refused)
         able = promising(here, refused)
-        if not challengers and not able and (here.rest is None or leaves_noise(here)):
+        # Beside names that stand, what is correlated may be a torque that nobody measured, or coloured noise.
+        enough = follows(here) if accepted else leaves_noise(here)
+        if not challengers and not able and (here.rest is None or enough):
             break
         pointed |= dict.fromkeys(one.name for one in challengers)
         if nameless is None and any(not one.named for one in challengers):
