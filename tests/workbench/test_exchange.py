@@ -1,7 +1,9 @@
 """A name that has entered a model of recordings by another plant: what stands in its place in the end."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers.hidden import Case, generate_experiment
 
@@ -9,13 +11,16 @@ from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
+from motorlens_runtime.errors import ModelError
+from motorlens_workbench.contest import exchange
 from motorlens_workbench.contest.exchange import exchanged
-from motorlens_workbench.contest.rivals import rivals_of
+from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.refit import settled, with_hypothesis
 from motorlens_workbench.standing import Standing, stand
+from motorlens_workbench.verdict import _groups
 
 FRICTION_NM = 0.0188
 # Without an hour of heating, hysteresis (which also heats) brakes exactly like Coulomb friction.
@@ -48,7 +53,7 @@ def test_what_was_put_in_takes_the_place_of_what_had_entered(bare: Standing, wro
     here, one = entered(bare, wrong)
     then, (other,) = exchanged(here, [one], (), lambda text: None)
     assert other.hypothesis.name in ALIKE and then is not here
-    assert wrong not in {part for part in then.fitted.model.values() if part.startswith(wrong)}
+    assert not any(key.startswith(f"{wrong}.") for key in then.fitted.model.values())
     assert then.fitted.model.values()[other.hypothesis.key] == pytest.approx(FRICTION_NM, rel=0.1)
     assert then.unlikely < here.unlikely - 20
     # What it was exchanged for has been fitted as well, and is no rival any more.
@@ -62,4 +67,62 @@ def test_what_was_put_in_stays_and_nothing_is_counted_against_it_that_is_less_li
     assert other.hypothesis.name in ALIKE
     likely = rivals_of(then, other).probability
     assert sum(likely.get(name, 0.0) for name in ALIKE) > 0.95
-    assert likely[other.hypothesis.name] >= max(other.instead.values(), default=0.0)
+    assert set(other.instead) <= ALIKE, "nothing else seems likelier, so nothing else was fitted"
+
+
+@pytest.mark.parametrize(
+    ("there", "back", "unlikely", "stands", "instead"),
+    [
+        (True, 0.9, -20.0, "rival", {"name": -0.5 * np.log(4.0 * 9.0)}),
+        (True, 0.9, -5.0, "name", {"rival": 0.0}),
+        (True, 0.01, -20.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
+        (False, 0.9, -20.0, "name", {"rival": -np.inf}),
+    ],
+    ids=[
+        "both say so",
+        "but it leaves what is less likely",
+        "but its own model does not say so",
+        "not beyond chance",
+    ],
+)
+def test_a_rival_stands_if_both_models_say_so_and_what_it_leaves_is_likelier(
+    monkeypatch, there, back, unlikely, stands, instead
+):
+    """Odds of four to one for the rival from here, of `back` to its rest from there; -10 is how unlikely the model is."""
+
+    def accepted(name):
+        return Accepted(SimpleNamespace(name=name), 1.0, 1.0, 1.0)  # type: ignore[arg-type]
+
+    def standing(value):
+        return SimpleNamespace(unlikely=value, fitted=SimpleNamespace(unlikely=value))
+
+    def rivals_of(here, one):
+        if one.hypothesis.name == "name":
+            likely = {"name": 0.2, "rival": 0.8}
+            likely |= {other: 0.0 for other in one.instead}
+        else:
+            likely = {"name": 1.0 - back, "rival": back}
+        scores = {
+            name: SimpleNamespace(entry=SimpleNamespace(hypothesis=SimpleNamespace(name=name)))
+            for name in likely
+        }
+        return Rivals(one.hypothesis.name, likely, scores)  # type: ignore[arg-type]
+
+    def in_its_place(here, one, other, own):
+        if not there:
+            raise ModelError("not beyond chance")
+        return standing(unlikely), accepted("rival")
+
+    monkeypatch.setattr(exchange, "rivals_of", rivals_of)
+    monkeypatch.setattr(exchange, "_in_its_place", in_its_place)
+    monkeypatch.setattr(exchange, "unlikely_from", lambda here, fitted: fitted.unlikely)
+    _, (one,) = exchanged(standing(-10.0), [accepted("name")], (), lambda text: None)  # type: ignore[arg-type]
+    assert one.hypothesis.name == stands
+    assert one.instead == pytest.approx(instead)
+
+
+def test_what_could_stand_in_two_places_is_offered_where_it_is_likeliest():
+    first = Rivals("drop", {"drop": 0.6, "offset": 0.3, "friction": 0.1}, {})
+    second = Rivals("friction", {"friction": 0.5, "offset": 0.2, "drop": 0.3}, {})
+    names = ["drop", "offset", "friction"]
+    assert _groups([first, second], names) == [("drop", "offset"), ("friction",)]

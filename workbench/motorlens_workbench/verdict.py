@@ -151,8 +151,8 @@ def _holds(found: Finding, one: Accepted) -> bool:
     last = found.outcome.last
     seen = own_score(last.plain, last.fitted, one.hypothesis)
     told = seen.gain / (seen.scatter + own_doubt(last, seen, one.hypothesis)) if seen else 0.0
-    only_size = len(own_parameters(found, one)) == 1
-    return max(told, one.agreed) > INTERVAL**2 and (not only_size or told_alone(found, one))
+    only_size = len(_own_parameters(found, one)) == 1
+    return max(told, one.agreed) > INTERVAL**2 and (not only_size or _told_alone(found, one))
 
 
 def detectable(found: Finding, score: Score) -> float:
@@ -161,22 +161,27 @@ def detectable(found: Finding, score: Score) -> float:
     return score.detectable(needed_weight(last, found.outcome.accepted)) if last.null else float("inf")
 
 
-def told_alone(found: Finding, one: Accepted) -> bool:
+def _told_alone(found: Finding, one: Accepted) -> bool:
     """Whether the deviation of its size, its other parameters varied with it, says as much as that it is there."""
     value, sd = measured(found, one)
     null = found.outcome.last.fitted.model.file.meaning(one.hypothesis.key).null or 0.0
     return abs(value - null) > INTERVAL * sd
 
 
-def _only_together(found: Finding, one: Accepted) -> str:
-    own = ", ".join(own_parameters(found, one))
+def _only_together(one: Accepted, parameters: Sequence[str]) -> str:
     return (
-        f"{one.hypothesis.name} is there beyond chance, but its parameters ({own}) are told only together: each may be near "
-        "nothing."
+        f"{one.hypothesis.name} is there beyond chance, but its parameters ({', '.join(parameters)}) are told only "
+        "together: each may be near nothing."
     )
 
 
-def own_parameters(found: Finding, one: Accepted) -> list[str]:
+def told_together(found: Finding, one: Accepted) -> list[str]:
+    """The parameters of an accepted hypothesis of which recordings tell only all together; none where its size is told."""
+    own = _own_parameters(found, one)
+    return own if len(own) > 1 and not _told_alone(found, one) else []
+
+
+def _own_parameters(found: Finding, one: Accepted) -> list[str]:
     """The names of the free parameters of an accepted hypothesis."""
     begin = f"{one.hypothesis.name}."
     keys = found.outcome.last.fitted.prior.keys
@@ -257,7 +262,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         said.append(
             f"What the model leaves is correlated as no noise of the sensors is: {why} that is not named here."
         )
-    said += [_only_together(found, one) for one in held if not told_alone(found, one)]
+    said += [_only_together(one, names) for one in held if (names := told_together(found, one))]
     said += [_refused(found, name) for name in refused]
     told = findings(_as_fit(found))
     if told.untold:

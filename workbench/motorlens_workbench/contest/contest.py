@@ -97,14 +97,20 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
                 here, accepted = _needed(here, accepted, own, say)
         elif not (step.refused or step.estimated):
             break
-    remains = any(not one.named for one in beyond_chance(here, accepted, refused))
-    if remains and nameless is not None and _imitate(nameless[0], here):
+    if _remains(here, accepted, refused) and nameless is not None and _imitate(nameless[0], here):
         here, accepted = nameless
-    unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
     here, accepted = exchanged(here, accepted, own, say)
+    # It is told beside what stands in the end.
+    remains = _remains(here, accepted, refused)
+    unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
     rivals = tuple(rivals_of(here, one) for one in accepted)
     disproved = tuple(name for name in dict.fromkeys(refused) if name in pointed)
     return Outcome(first, here, tuple(accepted), rivals, unnamed, disproved, judged, attempts)
+
+
+def _remains(here: Standing, accepted: Sequence[Accepted], refused: Sequence[str]) -> bool:
+    """Whether a term without a name is beyond chance."""
+    return any(not one.named for one in beyond_chance(here, accepted, refused))
 
 
 def _imitate(nameless: Standing, here: Standing) -> bool:

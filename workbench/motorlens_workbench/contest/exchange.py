@@ -51,7 +51,7 @@ def exchanged(
             tried = (names[k].hypothesis.name, *names[k].instead)
             if likeliest in tried or likeliest not in rivals.scores:
                 break
-            say(f"{_words(likeliest)} in the place of {_words(names[k].hypothesis.name)}")
+            say(f"{likeliest} in the place of {names[k].hypothesis.name}".replace("_", " "))
             here, names[k] = _likelier(here, names[k], rivals, likeliest, own)
     return here, names
 
@@ -69,10 +69,6 @@ def _likelier(
     if likelier > 0 and unlikely_from(here, there.fitted) < here.unlikely:
         return there, replace(new, instead={one.name: -likelier})
     return here, replace(accepted, instead={**accepted.instead, name: min(likelier, 0.0)})
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _odds(rivals: Rivals, other: Hypothesis, one: Hypothesis) -> float:

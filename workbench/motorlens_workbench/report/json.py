@@ -27,10 +27,9 @@ from motorlens_workbench.verdict import (
     detectable,
     in_its_place,
     measured,
-    own_parameters,
     seen_named,
     sizes,
-    told_alone,
+    told_together,
 )
 
 SHOWN = 12
@@ -147,9 +146,7 @@ def _candidate(
         "parameters": sizes(found, name),
         "minimum_detectable": least if np.isfinite(least) else None,
         "why_not": "" if accepted or seen is None or seen.possible else "a size that it cannot have",
-        "told_together": []
-        if accepted is None or told_alone(found, accepted)
-        else own_parameters(found, accepted),
+        "told_together": told_together(found, accepted) if accepted else [],
     }
 
 
@@ -216,8 +213,8 @@ def _shape(score: Score) -> str:
 def _size(found: Finding, name: str) -> str:
     for one in found.outcome.accepted:
         if one.hypothesis.name == name:
-            if not told_alone(found, one):
-                return f" ({together_text(own_parameters(found, one))})"
+            if names := told_together(found, one):
+                return f" ({_together(names)})"
             value, sd = measured(found, one)
             key = one.hypothesis.key
             unit = found.outcome.last.fitted.model.file.meaning(key).unit
@@ -280,7 +277,7 @@ def next_command(document: Mapping[str, Any]) -> str:
 def size_text(entry: Mapping[str, Any]) -> str:
     """The size of a candidate with its deviation and unit; "not seen" where it is within its own uncertainty."""
     if entry["told_together"]:
-        return together_text(entry["told_together"])
+        return _together(entry["told_together"])
     size = next(iter(entry["parameters"].values()), None)
     if size is None or not np.isfinite(size["sd"]):
         return "not seen"
@@ -289,7 +286,7 @@ def size_text(entry: Mapping[str, Any]) -> str:
     return f"{size['value']:.3g} +- {size['sd']:.2g} {_unit(size)}".rstrip()
 
 
-def together_text(names: Sequence[str]) -> str:
+def _together(names: Sequence[str]) -> str:
     """In the place of sizes that recordings tell only together."""
     return f"{', '.join(names)} told only together"
 
