@@ -32,7 +32,6 @@ from motorlens_physics.parameter import Rated  # noqa: E402
 from motorlens_physics.recording import Recording  # noqa: E402
 from motorlens_workbench.compare.comparison import FOLLOWS, compare  # noqa: E402
 from motorlens_workbench.diagnose import diagnose  # noqa: E402
-from motorlens_workbench.evidence.held_out import pooled_floor  # noqa: E402
 from motorlens_workbench.ladder import add, remove  # noqa: E402
 
 PLATE = Rated(
@@ -103,7 +102,7 @@ def every_command(count: int) -> None:
         here = compare(last.file, [recording])
         judged = max(judged, *(abs(last.judged[name] / c.rmse - 1) for name, c in here.channels.items()))
         floors = {
-            "diagnose": pooled_floor(found.outcome.last.fitted.model, found.runs),
+            "diagnose": found.outcome.last.floor,
             "add": with_it.noise_floor,
             "remove": without.noise_floor,
         }

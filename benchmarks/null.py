@@ -32,7 +32,6 @@ from motorlens_physics.motor_file import read_motor_file  # noqa: E402
 from motorlens_physics.recording import read_recording  # noqa: E402
 from motorlens_workbench.contest.needed import needed_weight  # noqa: E402
 from motorlens_workbench.diagnose import diagnose  # noqa: E402
-from motorlens_workbench.evidence.held_out import times_noise  # noqa: E402
 from motorlens_workbench.verdict import settle  # noqa: E402
 
 LEVELS = (0.5, 0.9, 0.95, 0.99, 1.0)
@@ -64,7 +63,7 @@ def largest(case: Case) -> dict[str, Any]:
         "records": case.records, "late": sorted({c for run in found.runs for c in run.late}),
     }  # fmt: skip
     row["verdict"] = settle(found).kind
-    row["times_noise"] = round(times_noise(here.book, here.lines), 3)
+    row["times_noise"] = round(here.times_noise, 3)
     row["colour"] = round(here.book.colour, 2)
     row["named"] = [{"name": name, "needed": round(times, 4)} for name, times in found.outcome.judged.items()]
     row["unnamed"] = [

@@ -16,7 +16,7 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.contest import contest as contest_module
-from motorlens_workbench.contest import needed, worth
+from motorlens_workbench.contest import worth
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor
 from motorlens_workbench.contest.entering import Step
 from motorlens_workbench.contest.needed import needed_weight
@@ -80,14 +80,13 @@ def test_what_is_correlated_as_no_noise_is_estimated_anew_with_names_before_it_i
 ):
     """Nothing is beyond chance; a blind case showed a magnet that warms, four times the noise off, and was given up."""
     rest = SimpleNamespace(entry=SimpleNamespace(hypothesis=SimpleNamespace(equation="coupling")))
-    here = SimpleNamespace(rest=rest, book=SimpleNamespace(colour=colour), lines=(), challengers=())
+    here = SimpleNamespace(rest=rest, book=SimpleNamespace(colour=colour), times_noise=times, challengers=())
     equations = []
 
     def enter_anew(here, equation, *rest):
         equations.append(equation)
         return Step()
 
-    monkeypatch.setattr(needed, "times_noise", lambda book, lines: times)
     monkeypatch.setattr(contest_module, "stand", lambda base, own: here)
     monkeypatch.setattr(contest_module, "enter_anew", enter_anew)
     for name in ("beyond_chance", "promising"):

@@ -25,7 +25,6 @@ from motorlens_runtime.errors import MotorlensError
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
-from motorlens_workbench.evidence.held_out import pooled_floor
 from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.score import inverse
 from motorlens_workbench.fitted import Accepted
@@ -198,9 +197,9 @@ def _channel_of(name: str) -> str:
 
 def _floor(found: Finding, measured: Sequence[str]) -> dict[str, float]:
     """Standard deviation of the noise of every output that will be measured."""
-    last = found.outcome.last.fitted
-    floor, rated = pooled_floor(last.model, last.runs), last.model.file.rated
-    return {c: floor.get(c, NEW_SENSOR * rated.scale(RATED_OF_CHANNEL[c])) for c in measured}
+    last = found.outcome.last
+    rated = last.fitted.model.file.rated
+    return {c: last.floor.get(c, NEW_SENSOR * rated.scale(RATED_OF_CHANNEL[c])) for c in measured}
 
 
 def _needed(

@@ -18,7 +18,7 @@ from motorlens_runtime.errors import DataError
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.diagnose import fitted_of
-from motorlens_workbench.evidence.held_out import held_out, held_out_errors, pooled_floor
+from motorlens_workbench.evidence.held_out import held_out, held_out_errors
 from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
 from motorlens_workbench.fitted import Fitted
 from motorlens_workbench.hypotheses.line import Line
@@ -98,7 +98,6 @@ def add(
     say(f"weighing {name}")
     here = stand(fitted_of(base), own)
     seen = seen_named(here)
-    floor = pooled_floor(base.fit.model, base.runs)
     if name not in seen:
         raise DataError(
             f"{name}: no such effect or sensor fault for these recordings, or a copy of what base parameters do; "
@@ -109,7 +108,7 @@ def add(
     fitted, beside = under(here, [run.noise for run in here.fitted.runs if run.noise])
     found = with_hypothesis(fitted, beside, score)
     if found is None:
-        return Ladder(tuple(rungs), floor, score.weight, False, "no model with it could be simulated")
+        return Ladder(tuple(rungs), here.floor, score.weight, False, "no model with it could be simulated")
     then = stand(settled(found), own)
     held = own_score(then.book, then.fitted, score.entry.hypothesis)
     weight = held.weight if held else 0.0
@@ -122,7 +121,7 @@ def add(
         why = f"what it explains is within chance (weight {weight:.3g}, needed {needed:.3g})"
     elif not better:
         why = "the error on blocks held out does not fall"
-    return Ladder(tuple(rungs), pooled_floor(then.fitted.model, then.fitted.runs), weight, not why, why)
+    return Ladder(tuple(rungs), then.floor, weight, not why, why)
 
 
 def remove(
@@ -151,7 +150,7 @@ def remove(
     say(f"fitting without {name}")
     rung, _ = _rung(f"without {name}", without, runs, judge, differing)
     # The floor is that of the better model: what the other lacks is no noise.
-    return Ladder((with_it, rung), pooled_floor(better.fit.model, better.runs), 0.0, True, "")
+    return Ladder((with_it, rung), stand(fitted_of(better)).floor, 0.0, True, "")
 
 
 def _imposed(file: MotorFile, name: str) -> bool:

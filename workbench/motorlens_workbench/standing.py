@@ -17,6 +17,7 @@ from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
+from motorlens_workbench.evidence.held_out import pooled_floor, times_noise
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers
 from motorlens_workbench.evidence.look import Look, looks
 from motorlens_workbench.evidence.null import Null, null_of
@@ -104,6 +105,16 @@ class Standing:
         # The parameters alone may do better than where the fit has ended.
         nothing = ([line.error for line in self.lines], *(look.rests(None) for look in self.looks))
         return min(unlikelihood(self.noises, self.lines, rests) for rests in nothing)
+
+    @cached_property
+    def floor(self) -> dict[str, float]:
+        """Standard deviation of the error that a perfect model would leave, of each channel."""
+        return pooled_floor(self.uncorrected)
+
+    @cached_property
+    def times_noise(self) -> float:
+        """The worst channel's error on blocks held out, over its noise."""
+        return times_noise(self.book, self.lines, self.floor)
 
     @cached_property
     def challengers(self) -> tuple[Challenger, ...]:

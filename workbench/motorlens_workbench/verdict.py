@@ -15,7 +15,7 @@ from motorlens_workbench.contest.rivals import Rivals
 from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import CRITERIA, INTERVAL
 from motorlens_workbench.diagnose import Finding
-from motorlens_workbench.evidence.held_out import fitted_errors, times_noise
+from motorlens_workbench.evidence.held_out import fitted_errors
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing
@@ -252,7 +252,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
             + "."
         )
     last = found.outcome.last
-    times = times_noise(last.book, last.lines)
+    times = last.times_noise
     why = "noise that lasts, a torque that nobody measured, or something"
     if times > CRITERIA.follows:
         said.append(

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.innovations import spread
-from motorlens_physics.estimate.model import TOLERANCE, Model, inputs_of, motor_of, predict, start_of
+from motorlens_physics.estimate.model import Model, sensitivities_of
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import noise_sd, roughness
 from motorlens_physics.motor_file import MotorFile
-from motorlens_physics.sensitivity import linearise
+from motorlens_physics.sensitivity import Linearisation
 from motorlens_physics.simulation import Trajectory
 
 Array = NDArray[np.float64]
@@ -71,20 +71,19 @@ def free_runs_of(found: Estimate) -> tuple[FreeRun, ...]:
 
 def _free_run(model: Model, run: Run, r: int) -> FreeRun:
     plain = replace(run, corrections=None)
-    trajectory, predicted = predict(model, plain, r)
-    return FreeRun(plain, trajectory, predicted, floor_of(model, plain, r, plain.measured - predicted))
+    trajectory, predicted, _, linear = sensitivities_of(model, plain, r, ())
+    return FreeRun(plain, trajectory, predicted, floor_of(plain, linear, plain.measured - predicted))
 
 
-def floor_of(model: Model, run: Run, r: int, error: Array) -> Array:
+def floor_of(run: Run, linear: Linearisation, error: Array) -> Array:
     """(C,) standard deviation that a perfect model's error has: of the sensors, and of the inputs through the motor.
 
     The slow torque is none of it, for nobody measured it, and a channel's own noise is no larger than its error is rough.
 
     Args:
-        model: along which noise of the inputs shows.
         run: from an estimate, which found its noise.
-        r: its position.
-        error: (N, C) measured less predicted.
+        linear: the motor along its inputs as measured, through which their noise shows.
+        error: (N, C) measured less predicted there.
     """
     assert run.noise is not None
     rough = np.array(
@@ -96,11 +95,9 @@ def floor_of(model: Model, run: Run, r: int, error: Array) -> Array:
     )
     white = np.minimum(run.noise.channels, rough**2) + run.steps**2 / 12
     lasting = run.noise.lasting_of_channels(run)
-    return np.asarray(np.sqrt(white + lasting + stirred_by_inputs(model, run, r, run.noise)))
+    return np.asarray(np.sqrt(white + lasting + stirred_by_inputs(run, linear, run.noise)))
 
 
-def stirred_by_inputs(model: Model, run: Run, r: int, noise: Noise) -> Array:
+def stirred_by_inputs(run: Run, linear: Linearisation, noise: Noise) -> Array:
     """(C,) variance that noise of the measured inputs stirs up in what the model shows."""
-    inputs = inputs_of(model, run, r)
-    _, linear = linearise(motor_of(model, run), inputs, start_of(model, r), smooth=True, tolerance=TOLERANCE)
     return spread(noise.of_inputs(len(run.channels)).space(run, linear, run.there))

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from motorlens_workbench.contest.bayes_factor import posterior
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.held_out import times_noise
 from motorlens_workbench.fitted import Accepted, Challenger
 from motorlens_workbench.standing import Standing
 
@@ -54,7 +53,7 @@ def promising(here: Standing, refused: Sequence[str]) -> list[Challenger]:
 
 def follows(here: Standing) -> bool:
     """Whether a model leaves no more than noise does where nothing is missing."""
-    return times_noise(here.book, here.lines) <= CRITERIA.follows
+    return here.times_noise <= CRITERIA.follows
 
 
 def leaves_noise(here: Standing) -> bool:

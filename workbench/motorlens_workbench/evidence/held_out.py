@@ -1,6 +1,6 @@
 """The error on blocks of time that the parameters were not fitted to, and what noise alone would leave."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -65,13 +65,13 @@ def _rmse(runs: Sequence[Run], errors: Sequence[Array]) -> dict[str, float]:
     return {channel: float(np.sqrt(np.mean(np.concatenate(parts)))) for channel, parts in squares.items()}
 
 
-def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
-    """The floor of each channel over runs from an estimate, see `free_run.floor_of`."""
+def pooled_floor(uncorrected: Sequence[Line]) -> dict[str, float]:
+    """The floor of each channel over runs along their inputs as measured, see `free_run.floor_of`."""
     squares: dict[str, list[tuple[float, int]]] = {}
-    for r, run in enumerate(runs):
-        plain = replace(run, corrections=None)
-        error = run.measured - predict(model, plain, r)[1]
-        for channel, floor in zip(run.channels, floor_of(model, plain, r, error), strict=True):
+    for line in uncorrected:
+        run = line.run
+        floors = floor_of(run, line.linear, run.measured - line.predicted)
+        for channel, floor in zip(run.channels, floors, strict=True):
             squares.setdefault(channel, []).append((float(floor**2), len(run.measured)))
     return {
         channel: float(np.sqrt(sum(s * n for s, n in parts) / sum(n for _, n in parts)))
@@ -79,11 +79,10 @@ def pooled_floor(model: Model, runs: Sequence[Run]) -> dict[str, float]:
     }
 
 
-def times_noise(book: Ledger, lines: Sequence[Line]) -> float:
+def times_noise(book: Ledger, lines: Sequence[Line], floor: Mapping[str, float]) -> float:
     """The worst channel's error on blocks held out, over its noise, which is no smaller than is believed of a recording."""
-    runs = [line.run for line in lines]
-    noise = pooled_floor(lines[0].model, runs)
-    for run in runs:
+    noise = dict(floor)
+    for run in (line.run for line in lines):
         if run.noise is not None:
             believed = zip(run.channels, np.sqrt(run.noise.floor + run.steps**2 / 12).tolist(), strict=True)
             noise |= {channel: max(noise[channel], least) for channel, least in believed}

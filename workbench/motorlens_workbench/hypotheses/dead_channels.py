@@ -16,7 +16,7 @@ from motorlens_physics.estimate.converter import quantisation_step
 from motorlens_physics.estimate.estimate import COARSE, estimate
 from motorlens_physics.estimate.fit import NEAR, fit, start_model
 from motorlens_physics.estimate.free_run import stirred_by_inputs
-from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.model import sensitivities_of
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import CLOSE
@@ -133,9 +133,9 @@ def _judge(file: MotorFile, run: Run, r: int, channel: str) -> DeadChannel | Non
         found = estimate(file, [others])
         alone, moved = found.fit, found.runs[0]
         whole = replace(run, inputs=moved.inputs, corrections=moved.corrections)
-        said = predict(alone.model, whole, 0)[1]
+        _, said, _, linear = sensitivities_of(alone.model, whole, 0, ())
         assert moved.noise is not None
-        stirred = stirred_by_inputs(alone.model, whole, 0, moved.noise)
+        stirred = stirred_by_inputs(whole, linear, moved.noise)
     except ModelError:
         return None
     fresh = run.fresh()

@@ -13,7 +13,7 @@ from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
-from motorlens_workbench.evidence.held_out import held_out, pooled_floor
+from motorlens_workbench.evidence.held_out import held_out
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.experiments import Experiment
 from motorlens_workbench.hypotheses.changes import Change
@@ -94,8 +94,7 @@ def errors(found: Finding) -> dict[str, Any]:
     first, last = found.outcome.first, found.outcome.last
     before = held_out(first.book, first.lines)
     after = held_out(last.book, last.lines) if found.outcome.accepted else before
-    floor = pooled_floor(last.fitted.model, last.fitted.runs)
-    return {"before": before, "after": after, "noise_floor": floor, "held_out": True}
+    return {"before": before, "after": after, "noise_floor": last.floor, "held_out": True}
 
 
 def risen(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
