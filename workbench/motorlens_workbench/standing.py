@@ -25,6 +25,7 @@ from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Challenger, Fitted
 from motorlens_workbench.hypotheses.courses import parameters_of
 from motorlens_workbench.hypotheses.everything import everything
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.refit import refit
 
@@ -165,15 +166,19 @@ def under(here: Standing, noises: Sequence[Noise]) -> tuple[Fitted, Beside]:
     return fitted, ledger(here.lines, Lens(noises), here.fitted.prior, ()).beside()
 
 
-def summed(fitted: Fitted) -> tuple[Ledger, Ledger]:
-    """The sums of a model's fitted parameters alone, beside the colour of the noise and with the sensors' noise as white.
+def summed(fitted: Fitted, hypotheses: Sequence[Hypothesis] = ()) -> tuple[Ledger, Ledger]:
+    """The sums of a model's fitted parameters, beside the colour of the noise and with the sensors' noise as white.
+
+    Args:
+        fitted: the model.
+        hypotheses: summed besides.
 
     Raises:
         ModelError: the model cannot be simulated.
     """
     lines = _lines(fitted, fitted.runs)
     noises = [_noise(line) for line in lines]
-    coloured, white = ledgers(lines, (Lens(noises), Lens(noises, plain=True)), fitted.prior, ())
+    coloured, white = ledgers(lines, (Lens(noises), Lens(noises, plain=True)), fitted.prior, hypotheses)
     return coloured, white
 
 

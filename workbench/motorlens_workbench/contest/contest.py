@@ -9,19 +9,17 @@ with all that could stand in its place.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
 from motorlens_workbench.contest.entering import Attempt, enter, enter_anew, heaviest
 from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.needed import beyond_chance, follows, leaves_noise, needed_weight, promising
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
-from motorlens_workbench.contest.worth import consistent, held_score
+from motorlens_workbench.contest.worth import agreement, held_score
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.refit import settled, without_hypothesis
-from motorlens_workbench.standing import Standing, likelier_by_block, stand, unlikely_from
+from motorlens_workbench.standing import Standing, stand, unlikely_from
 from motorlens_workbench.telling import Progress
 
 # Effects that are looked for at most.
@@ -132,8 +130,9 @@ def _needed(
         if fitted is None:
             continue
         without = settled(fitted)
-        won = likelier_by_block(here, here.fitted, without)
-        if score.or_at_least(consistent(won, float(np.sum(won)))).weight < needed_weight(here, others):
+        rise = unlikely_from(here, without) - unlikely_from(here, here.fitted)
+        agreed = agreement(here, here.fitted, without, one.hypothesis, rise)
+        if score.or_at_least(agreed).weight < needed_weight(here, others):
             say(f"without {one.hypothesis.name.replace('_', ' ')}")
             return stand(without, own), others
     return here, accepted

@@ -1,7 +1,8 @@
 """What a name explains in a model that has it, fitted in full.
 
-Wald's test asks how far its size is from nought; the likelihoods of both models, block of time by block of time, ask which
-of them recordings prefer, also where sensitivities change on the way. Neither counts for more than the likelihood rises.
+Wald's test asks how far its size is from nought, seen from the model that has it. Where sensitivities change on the way,
+that says too little; then the score test asks the same, seen from the model without it, and the likelihoods of both models
+ask which of them recordings prefer, block of time by block of time. None counts for more than the likelihood rises.
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger
+from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Entry, Score, log_chance
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
@@ -59,6 +61,39 @@ def held_score(book: Ledger, plain: Ledger, fitted: Fitted, hypothesis: Hypothes
     both = [own_score(one, fitted, hypothesis) for one in (book, plain)]
     told = [score for score in both if score is not None]
     return min(told, key=lambda score: score.weight) if len(told) == len(both) else None
+
+
+def lacking_score(lacking: Fitted, hypothesis: Hypothesis) -> Score | None:
+    """What a hypothesis would explain of what a model without it leaves (score test), the weaker as of `held_score`.
+
+    Raises:
+        ModelError: the model cannot be simulated.
+    """
+    both = []
+    for book in summed(lacking, [hypothesis]):
+        both.append(best_of(book.beside().scores(book.entries)).get(hypothesis.name))
+    told = [score for score in both if score is not None]
+    return min(told, key=lambda score: score.weight) if len(told) == len(both) else None
+
+
+def agreement(here: Standing, end: Fitted, lacking: Fitted, hypothesis: Hypothesis, rise: float) -> float:
+    """Squared ratio of what a name explains to how that scatters between blocks of time, without Wald's linearisation.
+
+    Args:
+        here: where the contest stands.
+        end: the model with the name.
+        lacking: the model without it.
+        hypothesis: the name.
+        rise: twice the rise of the logarithmic likelihood from the one to the other.
+
+    Raises:
+        ModelError: a model cannot be simulated.
+    """
+    by_block, seen = (
+        consistent(likelier_by_block(here, end, lacking), rise),
+        lacking_score(lacking, hypothesis),
+    )
+    return by_block if seen is None else max(by_block, min(seen.gain, max(rise, 0.0)) / seen.scatter)
 
 
 def consistent(won: Array, rise: float) -> float:
@@ -122,6 +157,6 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     without = here.fitted if refitted is None else settled(refitted)
     lacking = min((here.fitted, without), key=lambda fitted: unlikely_from(here, fitted))
     rise = min(most, unlikely_from(here, lacking) - unlikely_from(here, end))
-    held, agreed = score.winning(rise), consistent(likelier_by_block(here, end, lacking), rise)
+    held, agreed = score.winning(rise), agreement(here, end, lacking, one.entry.hypothesis, rise)
     more = agreed > held.gain / held.scatter
     return Worth(held.or_at_least(agreed), needed, lacking, agreed if more else 0.0)
