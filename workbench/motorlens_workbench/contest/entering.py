@@ -164,12 +164,11 @@ def enter_anew(
     nearest = [named[name] for name in able[:ESTIMATED]]
     say(f"and to the end with {', '.join(one.name.replace('_', ' ') for one in nearest) or 'none'}")
     fits = zip(nearest, on_all_cores(lambda one: anew(about(one), reached[one.name]), nearest), strict=True)
-    made = [
-        (one, fitted) for one, fitted in fits if fitted is not None and np.isfinite(_unlikely(here, fitted))
-    ]
+    weighed = [(_unlikely(here, fitted), one, fitted) for one, fitted in fits if fitted is not None]
+    made = [(one, fitted) for unlikely, one, fitted in weighed if np.isfinite(unlikely)]
     if not made:
         return nothing
-    best = min((fitted for _, fitted in made), key=lambda fitted: _unlikely(here, fitted))
+    best = min(weighed, key=lambda known: known[0])[2]
     less = {one.name: consistent(likelier_by_block(here, best, fitted), np.inf) for one, fitted in made}
     likely = {
         one.name: log_occam_of(one.entry.hypothesis, fitted) - 0.5 * less[one.name] / CRITERIA.tempered
@@ -214,15 +213,14 @@ def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect
         told = worth(here, one, end)
         judged, entered = {one.name: told.times}, told.accepted(one.entry.hypothesis)
         if entered is None:
-            kept = here.unlikely - unlikely_from(here, told.lacking)
-            if -log_chance(max(kept, 0.0), 1) < told.needed:
+            if -log_chance(max(told.kept, 0.0), 1) < told.needed:
                 return Step(refused=(one.name,), judged=judged, attempts={one.name: (here.fitted, end)})
             # Without the name the model fits beyond chance better than where it had ended: it goes on from there.
-            return Step(stand(told.lacking, own), judged=judged, unlikely=here.unlikely - kept)
-        then, unlikely = stand(end, own), unlikely_from(here, end)
+            return Step(stand(told.lacking, own), judged=judged, unlikely=here.unlikely - told.kept)
+        then = stand(end, own)
     except ModelError:
         return Step(refused=(one.name,))
-    return Step(then, entered, judged=judged, unlikely=unlikely)
+    return Step(then, entered, judged=judged, unlikely=told.unlikely)
 
 
 def _about(equation: str, runs: Sequence[Run]) -> tuple[str, ...]:

@@ -118,12 +118,16 @@ class Worth:
         score: None if it is not told there.
         needed: the weight that it needs.
         lacking: the likelier of the model that stands and the one with the name taken out again.
+        unlikely: of what the model with the name leaves, see `unlikely_from`.
+        kept: how much less unlikely it is what the model without it leaves than what the model that stands does.
         agreed: squared ratio to which blocks of time agree on the name, where that tells more than Wald's test; else 0.
     """
 
     score: Score | None
     needed: float
     lacking: Fitted
+    unlikely: float
+    kept: float = 0.0
     agreed: float = 0.0
 
     @property
@@ -148,15 +152,18 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     book, plain = summed(end)
     score = held_score(book, plain, end, one.entry.hypothesis)
     needed = needed_weight(here, (), book.colour)
-    most = here.unlikely - unlikely_from(here, end)
+    unlikely = unlikely_from(here, end)
+    most = here.unlikely - unlikely
     if score is None or -log_chance(max(most, 0.0), 1) < needed:
-        return Worth(score and score.winning(most), needed, here.fitted)
+        return Worth(score and score.winning(most), needed, here.fitted, unlikely)
     # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is not
     # the name's.
     refitted = without_hypothesis(end, one.name)
-    without = here.fitted if refitted is None else settled(refitted)
-    lacking = min((here.fitted, without), key=lambda fitted: unlikely_from(here, fitted))
-    rise = min(most, unlikely_from(here, lacking) - unlikely_from(here, end))
+    able = (here.fitted,) if refitted is None else (here.fitted, settled(refitted))
+    left, lacking = min(((unlikely_from(here, one), one) for one in able), key=lambda pair: pair[0])
+    rise = min(most, left - unlikely)
     held, agreed = score.winning(rise), agreement(here, end, lacking, one.entry.hypothesis, rise)
     more = agreed > held.gain / held.scatter
-    return Worth(held.or_at_least(agreed), needed, lacking, agreed if more else 0.0)
+    return Worth(
+        held.or_at_least(agreed), needed, lacking, unlikely, here.unlikely - left, agreed if more else 0.0
+    )
