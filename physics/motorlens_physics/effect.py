@@ -86,6 +86,11 @@ class Effect:
         return any(state.kind == "angle" for state in cls.states.values())
 
     @classmethod
+    def holds(cls) -> bool:
+        """Whether it is a torque that may hold a rotor at rest: stiction, or one that goes with the shaft's angle."""
+        return cls.stiction is not Effect.stiction or (cls.turns() and cls.voltage is Effect.voltage)
+
+    @classmethod
     def at_null(cls, rated: Rated) -> Self:
         """The effect switched off, its shape as it is typical for a motor of this rating plate."""
         switch = cls.switch()

@@ -80,7 +80,9 @@ def test_what_is_correlated_as_no_noise_is_estimated_anew_with_names_before_it_i
 ):
     """Nothing is beyond chance; a blind case showed a magnet that warms, four times the noise off, and was given up."""
     rest = SimpleNamespace(entry=SimpleNamespace(hypothesis=SimpleNamespace(equation="coupling")))
-    here = SimpleNamespace(rest=rest, book=SimpleNamespace(colour=colour), times_noise=times, challengers=())
+    here = SimpleNamespace(
+        rest=rest, book=SimpleNamespace(colour=colour), times_noise=times, challengers=(), null=None
+    )
     equations = []
 
     def enter_anew(here, equation, *rest):

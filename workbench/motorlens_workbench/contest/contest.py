@@ -11,9 +11,16 @@ from dataclasses import dataclass
 
 from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
-from motorlens_workbench.contest.entering import Attempt, enter, enter_anew, heaviest
+from motorlens_workbench.contest.entering import Attempt, enter, enter_anew, enter_unseen, heaviest
 from motorlens_workbench.contest.exchange import exchanged
-from motorlens_workbench.contest.needed import beyond_chance, follows, leaves_noise, needed_weight, promising
+from motorlens_workbench.contest.needed import (
+    beyond_chance,
+    follows,
+    leaves_noise,
+    needed_weight,
+    promising,
+    unseen,
+)
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import agreement, held_score
 from motorlens_workbench.evidence.score import Score
@@ -73,15 +80,18 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     while len(accepted) < EFFECTS and entered < 2 * EFFECTS:
         challengers = beyond_chance(here, accepted, refused)
         able = promising(here, refused)
+        sticking = [] if challengers or able or here.null is None else unseen(here, refused)
         # Beside names that stand, what is correlated may be a torque that nobody measured, or coloured noise.
         enough = follows(here) if accepted else leaves_noise(here)
-        if not challengers and not able and (here.rest is None or enough):
+        if not challengers and not able and not sticking and (here.rest is None or enough):
             break
         pointed |= dict.fromkeys(one.name for one in challengers)
         if nameless is None and any(not one.named for one in challengers):
             nameless = here, list(accepted)
         if challengers or able:
             step = enter(here, challengers, able, refused, estimated, own, say)
+        elif sticking:
+            step = enter_unseen(here, sticking, own, say)
         else:
             assert here.rest is not None
             step = enter_anew(here, here.rest.entry.hypothesis.equation, estimated, own, say)

@@ -15,7 +15,7 @@ from motorlens_physics.estimate.weighed import gained
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, posterior, scatter_of
-from motorlens_workbench.contest.needed import follows
+from motorlens_workbench.contest.needed import follows, needed_weight
 from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.score import Score, log_chance
@@ -125,6 +125,24 @@ def enter(
         step = step.then(enter_anew(here, best.equation, estimated, own, say))
     if step.standing is None and strongest.named:
         return replace(step, refused=(*step.refused, strongest.name))
+    return step
+
+
+def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Effect]], say: Progress) -> Step:
+    """The best of names that no look shows as they are: all are fitted, and those judged that explain enough there."""
+    say(f"fitting with {', '.join(dict.fromkeys(one.name.replace('_', ' ') for one in unseen))}")
+    base, beside = under(here, here.noises)
+    fits = zip(unseen, on_all_cores(lambda one: with_hypothesis(base, beside, one), unseen), strict=True)
+    made = [(base.cost - fitted.cost, one, fitted) for one, fitted in fits if fitted is not None]
+    step, needed = Step(refused=tuple(dict.fromkeys(one.name for one in unseen))), needed_weight(here, ())
+    for won, one, fitted in sorted(made, key=lambda known: -known[0]):
+        if -log_chance(max(won, 0.0), 1) < needed or one.name in step.judged:
+            continue
+        step = step.then(_judged(here, one, fitted, own))
+        if step.accepted is not None:
+            return _timed_anew(here, one, step, own)
+        if step.standing is not None:
+            break
     return step
 
 

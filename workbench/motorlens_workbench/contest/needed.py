@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from motorlens_workbench.contest.bayes_factor import posterior
 from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted, Challenger
 from motorlens_workbench.standing import Standing
 
@@ -49,6 +50,22 @@ def promising(here: Standing, refused: Sequence[str]) -> list[Challenger]:
     named = [one for one in here.challengers if one.named and one.name not in refused]
     able = [one for one in named if one.score.undivided > needed_weight(here, (), one.colour)]
     return sorted(able, key=lambda one: -posterior(one, one.gain, 1.0))
+
+
+def unseen(here: Standing, refused: Sequence[str]) -> list[Score]:
+    """What may hold a rotor at rest, in the shape that explains most in each look.
+
+    A rotor that sticks starts late or not at all. That is nothing like the response to a small torque about a rotor that
+    turns, by which the linearised problem has it, and what such a name explains is known only once it is fitted.
+    """
+    best = [
+        score
+        for look in here.looks
+        for score in look.best().values()
+        if score.name not in refused and score.entry.hypothesis.holds
+    ]
+    alike = {(score.name, score.entry.shape): score for score in best}
+    return list(alike.values())
 
 
 def follows(here: Standing) -> bool:

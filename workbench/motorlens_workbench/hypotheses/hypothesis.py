@@ -37,6 +37,7 @@ class Hypothesis:
         key: the parameter that is its size, "" without a name.
         typical: size of one unit of its columns, away from null, in the unit of that parameter; without a name, the
             coefficient that would be as large as what drives the motor, or as the parameter that is no constant.
+        holds: whether it may hold a rotor at rest, see `Effect.holds`.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Hypothesis:
     shapes: tuple[Shape, ...]
     key: str = ""
     typical: float = float("inf")
+    holds: bool = False
 
     @property
     def named(self) -> bool:
