@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import near, whole
-from motorlens_physics.estimate.fit import NEAREST, inverse, minimise, start_model
+from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
@@ -123,6 +123,28 @@ def with_hypothesis(fitted: Fitted, beside: Beside, score: Score) -> Fitted | No
     It starts where the linearised problem ends or, from the model as it is, with the hypothesis at its typical size: where
     the errors are smaller, and if that loses its way, from the other.
     """
+    best: Fitted | None = None
+    for point, prior in _starts(fitted, beside, score):
+        other = _refit(point, prior, fitted.runs)
+        if other is not None and (best is None or other.cost < best.cost):
+            best = other
+        if best is not None and fitted.cost - best.cost >= KEPT * score.gain:
+            break
+    return best
+
+
+def promise(fitted: Fitted, beside: Beside, score: Score) -> float:
+    """By how much the cost falls with a hypothesis in the model, as linearised from where a fit of it starts."""
+    for point, prior in _starts(fitted, beside, score):
+        try:
+            return fitted.cost - foretold(point, prior)
+        except ModelError:
+            continue
+    return 0.0
+
+
+def _starts(fitted: Fitted, beside: Beside, score: Score) -> list[tuple[Weighed, Prior]]:
+    """Where a fit with a hypothesis may start, the errors smallest first; see `with_hypothesis`."""
     shape = score.entry.shape
     assert isinstance(shape, EffectShape | SensorShape)
     at_typical = begun(fitted, score)
@@ -136,14 +158,7 @@ def with_hypothesis(fitted: Fitted, beside: Beside, score: Score) -> Fitted | No
         except ModelError:
             continue
         starts.append((point.cost + prior.penalty(model.values()), point, prior))
-    best: Fitted | None = None
-    for _, point, prior in sorted(starts, key=lambda start: start[0]):
-        other = _refit(point, prior, fitted.runs)
-        if other is not None and (best is None or other.cost < best.cost):
-            best = other
-        if best is not None and fitted.cost - best.cost >= KEPT * score.gain:
-            break
-    return best
+    return [(point, prior) for _, point, prior in sorted(starts, key=lambda start: start[0])]
 
 
 def without_hypothesis(fitted: Fitted, name: str) -> Fitted | None:

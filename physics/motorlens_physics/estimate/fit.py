@@ -256,6 +256,16 @@ def _seen(point: Point, prior: Prior) -> tuple[Array, Array, float, Array]:
     return gram, gradient, point.cost + prior.penalty(values), step
 
 
+def foretold(point: Point, prior: Prior) -> float:
+    """The cost at the minimum, what is known beforehand included, as the problem linearised about a point has it.
+
+    Raises:
+        ModelError: a response to a parameter is not finite.
+    """
+    gram, gradient, cost, step = _seen(point, prior)
+    return cost - 2 * float(gradient @ step) + float(step @ gram @ step)
+
+
 def _share(before: float, last: Array, step: Array, gram: Array) -> float:
     """How much of a step (k,) to go that turns back on another one, of which that share was gone.
 

@@ -20,7 +20,7 @@ from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
-from motorlens_workbench.refit import anew, begun, nearly, settled, with_hypothesis
+from motorlens_workbench.refit import anew, begun, nearly, promise, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
@@ -129,14 +129,34 @@ def enter(
 
 
 def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Effect]], say: Progress) -> Step:
-    """The best of names that no look shows as they are: all are fitted, and those judged that explain enough there."""
-    say(f"fitting with {', '.join(dict.fromkeys(one.name.replace('_', ' ') for one in unseen))}")
+    """The best of names that no look shows as they are: each is looked at from a model that has it.
+
+    Those that may win are looked at so in all their shapes, and the best are fitted. Of each name the shape is judged that
+    wins most.
+    """
     base, beside = under(here, here.noises)
-    fits = zip(unseen, on_all_cores(lambda one: with_hypothesis(base, beside, one), unseen), strict=True)
+    needed = needed_weight(here, ())
+
+    def enough(won: float) -> bool:
+        return -log_chance(max(won, 0.0), 1) >= needed
+
+    def promising(scores: Sequence[Score]) -> list[Score]:
+        promises = on_all_cores(lambda one: promise(base, beside, one), scores)
+        able = [(won, one) for won, one in zip(promises, scores, strict=True) if enough(won)]
+        return [one for _, one in sorted(able, key=lambda known: -known[0])]
+
+    names = {one.name for one in promising(unseen)}
+    able = promising(
+        [one for look in here.looks for one in look.scores if one.possible and one.name in names]
+    )
+    able = able[:REFITTED]
+    if able:
+        say(f"fitting with {', '.join(dict.fromkeys(one.name.replace('_', ' ') for one in able))}")
+    fits = zip(able, on_all_cores(lambda one: with_hypothesis(base, beside, one), able), strict=True)
     made = [(base.cost - fitted.cost, one, fitted) for one, fitted in fits if fitted is not None]
-    step, needed = Step(refused=tuple(dict.fromkeys(one.name for one in unseen))), needed_weight(here, ())
+    step = Step(refused=tuple(dict.fromkeys(one.name for one in unseen)))
     for won, one, fitted in sorted(made, key=lambda known: -known[0]):
-        if -log_chance(max(won, 0.0), 1) < needed or one.name in step.judged:
+        if not enough(won) or one.name in step.judged:
             continue
         step = step.then(_judged(here, one, fitted, own))
         if step.accepted is not None:
