@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from motorlens_physics.estimate.fit import minimise
+from motorlens_physics.estimate.fit import foretold, minimise
 from motorlens_physics.estimate.prior import Prior
 
 FREE = 1e6
@@ -77,6 +77,16 @@ def searched(begin: Problem, prior: Prior, *, seen: float = 0.0) -> tuple[Proble
         anew=lambda point: replace(point, seen=seen),
     )
     return end, left, tried
+
+
+@pytest.mark.parametrize(("bounds", "least"), [((-FREE, FREE), 5.0), ((2.0, FREE), 10.0)])
+def test_the_cost_at_the_minimum_of_a_linear_problem_is_foretold_from_anywhere(
+    bounds: tuple[float, float], least: float
+) -> None:
+    # (3 - x)^2 + (1 - 2 x)^2 = 5 (x - 1)^2 + 5.
+    line = Problem(lambda at: np.array([3 - at[0], 1 - 2 * at[0]]), (4.0,))
+    assert line.cost == pytest.approx(50.0)
+    assert foretold(line, prior_of(bounds)) == pytest.approx(least, rel=1e-5)
 
 
 def test_what_is_found_between_steps_is_no_reason_to_refuse_one() -> None:

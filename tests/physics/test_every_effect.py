@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
 import pint
 import pytest
 from helpers import effect_contract
-from helpers.effect_contract import CONTRACT
+from helpers.effect_contract import CONTRACT, MOTOR, PLATES
 
 from motorlens_physics.effect import Effect, State, catalogue
 from motorlens_physics.ops import tanh, turning
@@ -29,6 +30,21 @@ def test_every_name_of_the_design_is_in_the_catalogue():
         temperature_dependent_viscosity cogging_torque unbalance_torque iron_loss_torque constant_torque two_node_thermal
         radiation friction_heat hysteresis_iron_loss fan_cooling_exponent ambient_drift""".split()
     assert set(designed) <= set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_holds_a_rotor_is_stiction_or_a_torque_without_a_current_that_differs_along_a_turn(name):
+    rated = PLATES[0]
+    effect = EFFECTS[name].typical(rated)
+    u = SimpleNamespace(v=0.0, load=0.5 * rated.torque_Nm, ambient=20.0, t=0.0)
+    resting = dict.fromkeys(("i", "w", "theta", *effect.states), 0.0)
+    turn = [
+        SimpleNamespace(**(resting | ({"phi": angle} if "phi" in resting else {})))
+        for angle in np.linspace(0.0, 2 * np.pi, 50)
+    ]
+    differs = np.ptp([float(effect.torque(MOTOR, x, u)) for x in turn])
+    stiction = float(effect.stiction(MOTOR, turn[0], u))
+    assert EFFECTS[name].holds() is bool(stiction > 0 or differs > 1e-6 * rated.torque_Nm)
 
 
 def test_exemptions_from_the_first_law_are_of_effects_that_exist_and_are_few():
