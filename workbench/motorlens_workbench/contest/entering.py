@@ -134,8 +134,11 @@ def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Eff
     Those that may win are looked at so in all their shapes, and the best are fitted. Of each name the shape is judged that
     wins most.
     """
-    base, beside = under(here, here.noises)
-    needed = needed_weight(here, ())
+    step, needed = Step(refused=tuple(dict.fromkeys(one.name for one in unseen))), needed_weight(here, ())
+    try:
+        base, beside = under(here, here.noises)
+    except ModelError:
+        return step
 
     def enough(won: float) -> bool:
         return -log_chance(max(won, 0.0), 1) >= needed
@@ -154,7 +157,6 @@ def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Eff
         say(f"fitting with {', '.join(dict.fromkeys(one.name.replace('_', ' ') for one in able))}")
     fits = zip(able, on_all_cores(lambda one: with_hypothesis(base, beside, one), able), strict=True)
     made = [(base.cost - fitted.cost, one, fitted) for one, fitted in fits if fitted is not None]
-    step = Step(refused=tuple(dict.fromkeys(one.name for one in unseen)))
     for won, one, fitted in sorted(made, key=lambda known: -known[0]):
         if not enough(won) or one.name in step.judged:
             continue
