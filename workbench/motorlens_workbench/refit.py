@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.estimate import near, whole
+from motorlens_physics.estimate.estimate import near, one_step_ahead, whole
 from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
@@ -92,6 +92,20 @@ def nearly(fitted: Fitted) -> Weighed | None:
         return near(runs, fitted.prior, replace(begin, held=fitted.model.held), free=False)
     except ModelError:
         return None
+
+
+def ahead(fitted: Fitted, other: Weighed) -> float:
+    """What a model would leave near the best parameters, see `one_step_ahead`; infinite where nothing can be simulated.
+
+    Args:
+        fitted: the model.
+        other: where `nearly` has led another.
+    """
+    begin, runs = _beginning(fitted)
+    try:
+        return one_step_ahead(other, runs, fitted.prior, replace(begin, held=fitted.model.held))
+    except ModelError:
+        return float("inf")
 
 
 def _beginning(fitted: Fitted) -> tuple[Model, list[Run]]:

@@ -20,6 +20,7 @@ from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed, noise_left, without_noise
+from motorlens_runtime.errors import ModelError
 
 Array = NDArray[np.float64]
 
@@ -95,6 +96,8 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
             point, prior, r, quiet, (held, held, ambient), (-1, 0, 1), straight=True
         ).items()
     }
+    if not np.isfinite([end.cost for end in ends.values()]).any():
+        return part.run, part.run
     held = min((False, True), key=lambda held: ends[held, 0].cost)
     load = held
     # That inputs did not run alike is one thing more.
@@ -168,10 +171,12 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         quiet = _quiet(part.run, part.noise)
         ends = {way: _ends(point, prior, r, quiet, (*way, ambient), (0,), straight=False)[0] for way in ways}
         here = ends.pop((voltage, load))
-        odds = [float(np.exp(0.5 * min(_won(here, end, inflation), 0.0))) for end in ends.values()]
+        # Which of them can be simulated no more than another is nothing to go by.
+        able = {way: end for way, end in ends.items() if np.isfinite([here.cost, end.cost]).all()}
+        odds = [float(np.exp(0.5 * min(_won(here, end, inflation), 0.0))) for end in able.values()]
         total = 1.0 + sum(odds)
         chances.append(1.0 - 1.0 / total)
-        for odd, end in zip(odds, ends.values(), strict=True):
+        for odd, end in zip(odds, able.values(), strict=True):
             # Beside inputs without noise parameters may be elsewhere whichever way inputs ran: that is not what is open.
             apart = end.step - here.step
             spread += odd / total * np.outer(apart, apart)
@@ -203,7 +208,8 @@ def _ends(
 ) -> dict[int, End]:
     """Where a run leads whose inputs ran this way, by how many samples all of it was late.
 
-    Without skews (`straight`), which would make up for a voltage that ran otherwise.
+    Without skews (`straight`), which would make up for a voltage that ran otherwise. A way that cannot be simulated costs
+    infinitely much.
     """
     part = point.parts[r]
     mine = tuple(k for k in part.mine if not (straight and prior.keys[k].startswith("skew.")))
@@ -211,7 +217,10 @@ def _ends(
     held = tuple(hold if k == r else h for k, h in enumerate(point.model.held))
     model = replace(point.model, held=held).with_values(none)
     moves = [tuple(0 if c == "temperature" else samples for c in part.run.channels) for samples in late]
-    seen = _seen(model, part.run.holding(hold), r, part, quiet, prior, mine, moves)
+    try:
+        seen = _seen(model, part.run.holding(hold), r, part, quiet, prior, mine, moves)
+    except ModelError:
+        return dict.fromkeys(late, End(np.inf, np.zeros(len(prior.keys)), np.zeros(1)))
     return {samples: _at_best(model, [one], prior) for samples, one in zip(late, seen, strict=True)}
 
 

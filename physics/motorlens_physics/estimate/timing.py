@@ -22,6 +22,7 @@ from motorlens_physics.estimate.weighed import (
     minimised,
     needed,
 )
+from motorlens_runtime.errors import ModelError
 
 # How often channels that are late are looked for again.
 REALIGNED = 4
@@ -87,13 +88,18 @@ class Timing:
             none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
             held = tuple(run.inputs.hold for run in runs)
             more = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
-            # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
-            on, afresh = (
-                self.near(replace(start, held=held), runs)
-                for start in (point.model.with_values(none), self.begin)
-            )
-            other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
-            if gained_without_noise(point, other, self.prior) > (needed(1) if more else 0.0):
+            try:
+                # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
+                on, afresh = (
+                    self.near(replace(start, held=held), runs)
+                    for start in (point.model.with_values(none), self.begin)
+                )
+                other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
+                won = gained_without_noise(point, other, self.prior)
+            except ModelError:
+                # Inputs that lead where no motor can be simulated did not run so.
+                continue
+            if won > (needed(1) if more else 0.0):
                 return other
         return point
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import gained
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, posterior, scatter_of
@@ -20,14 +19,12 @@ from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
-from motorlens_workbench.refit import anew, begun, nearly, promise, settled, with_hypothesis
+from motorlens_workbench.refit import KEPT, ahead, anew, begun, nearly, promise, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
-# Hypotheses that are fitted in full at each step.
+# Hypotheses that are fitted in full at each step, or with which the motor is estimated anew to the end.
 REFITTED = 4
-# Names with which the motor is estimated to the end, of all with which it was estimated from pieces of long recordings.
-ESTIMATED = 6
 
 # The model in which a name was tried, and the same with it.
 Attempt = tuple[Fitted, Fitted]
@@ -177,8 +174,7 @@ def enter_anew(
 ) -> Step:
     """The likeliest of all names about an equation, with each of which the motor is estimated from the beginning.
 
-    First as far as pieces of long recordings tell, and to the end with those that explain most there; not with those with
-    which it has been `estimated` before.
+    To the end with those that promise to explain most; not with those with which it has been `estimated` before.
     """
     equations = _about(equation, here.fitted.runs)
     named: dict[str, Score] = {}
@@ -197,13 +193,20 @@ def enter_anew(
     base = nearly(here.fitted)
     if base is None:
         return nothing
-    points = on_all_cores(lambda one: nearly(about(one)), list(named.values()))
-    reached = {name: point for name, point in zip(named, points, strict=True) if point is not None}
-    won = {name: gained(base, point, here.fitted.prior) for name, point in reached.items()}
-    able = sorted((name for name in won if won[name] > 0), key=lambda name: -won[name])
-    nearest = [named[name] for name in able[:ESTIMATED]]
+    without = ahead(here.fitted, base)
+    left = on_all_cores(lambda one: ahead(about(one), base), list(named.values()))
+    won = {name: without - cost for name, cost in zip(named, left, strict=True) if cost < without}
+    # Promises are kept by half, or nothing comes of them.
+    enough = KEPT * max(won.values(), default=0.0)
+    able = sorted((name for name in won if won[name] >= enough), key=lambda name: -won[name])
+    nearest = [named[name] for name in able[:REFITTED]]
     say(f"and to the end with {', '.join(one.name.replace('_', ' ') for one in nearest) or 'none'}")
-    fits = zip(nearest, on_all_cores(lambda one: anew(about(one), reached[one.name]), nearest), strict=True)
+
+    def to_the_end(one: Score) -> Fitted | None:
+        reached = nearly(about(one))
+        return None if reached is None else anew(about(one), reached)
+
+    fits = zip(nearest, on_all_cores(to_the_end, nearest), strict=True)
     weighed = [(_unlikely(here, fitted), one, fitted) for one, fitted in fits if fitted is not None]
     made = [(one, fitted) for unlikely, one, fitted in weighed if np.isfinite(unlikely)]
     if not made:
