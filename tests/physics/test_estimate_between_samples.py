@@ -5,7 +5,8 @@ import pytest
 from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 
-from motorlens_physics.estimate.between_samples import otherwise
+from motorlens_physics.estimate import between_samples
+from motorlens_physics.estimate.between_samples import as_they_ran, otherwise
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.estimate.weighed import weighed
@@ -13,6 +14,7 @@ from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
+from motorlens_runtime.errors import ModelError
 
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
@@ -100,3 +102,31 @@ def test_a_motor_that_oscillates_within_a_sample_is_not_taken_for_its_alias() ->
     values, sd = found.fit.model.values(), found.fit.sd()
     assert max(abs(values[key] - motor[key]) / sd[key] for key in ("R_a0", "L", "ke", "J", "b")) < 3
     assert sd["J"] < 0.05 * motor["J"], "told, not merely wide"
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("held", [True, False])
+def test_inputs_did_not_run_as_no_motor_can_be_simulated(monkeypatch, held: bool) -> None:
+    """A motor that rings at 500 Hz between samples a second apart ended an estimate, that of inputs that ran otherwise."""
+    found = fitted("steps", held, 1)
+    prior = found.fit.prior
+    noises = [run.noise for run in found.runs if run.noise is not None]
+    point = weighed(found.fit.model, found.runs, noises, [run.there for run in found.runs], prior.keys)
+    simulate, able = between_samples.sensitivities_of, {held}
+
+    def simulated_if_able(model, run, r, keys):
+        if run.inputs.hold[0] not in able:
+            raise ModelError("it takes too many steps")
+        return simulate(model, run, r, keys)
+
+    monkeypatch.setattr(between_samples, "sensitivities_of", simulated_if_able)
+    for (run,) in as_they_ran(point, prior):
+        assert run.inputs.hold[0] is held and not run.late
+    (chance,), spread = otherwise(point, prior)
+    assert chance == 0 and not spread.any()
+    # Along the other one it must have run that one.
+    able.symmetric_difference_update({True, False})
+    for (run,) in as_they_ran(point, prior):
+        assert run.inputs.hold[0] is not held
+    able.clear()
+    assert all(run is point.parts[0].run for (run,) in as_they_ran(point, prior))
