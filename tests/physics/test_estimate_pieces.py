@@ -8,8 +8,8 @@ from helpers import plain_motor
 from helpers.plain_motor import RATED, TYPICAL, recorded
 
 from motorlens_physics.estimate import estimate as estimation
-from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.estimate import Estimate, estimate, near, one_step_ahead
+from motorlens_physics.estimate.fit import minimise, start_model
 from motorlens_physics.estimate.pieces import as_found
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run, prepare_all
@@ -139,3 +139,23 @@ def test_a_fit_goes_on_where_its_corrections_were_made_far_away() -> None:
     value, sd = found.fit.model.values(), found.fit.sd()
     assert found.converged
     assert all(abs(value[key] - truth[key]) < 3 * sd[key] for key in truth)
+
+
+@pytest.mark.fit
+def test_one_step_ahead_is_nearly_the_cost_where_a_search_ends() -> None:
+    """Of the model itself, and of one whose ke is held 2 % off, which a search beside the same noise ends."""
+    runs = two_runs()[1:]
+    prior, begin = base_prior(FILE, runs), start_model(FILE, runs)
+    found = near(runs, prior, begin)
+    begin = dataclasses.replace(begin, held=found.model.held)
+    ended = found.cost + prior.penalty(found.model.values())
+    ahead = one_step_ahead(found, runs, prior, begin)
+    assert ahead == pytest.approx(ended, rel=0.01)
+
+    off = begin.with_values({"ke": 1.02 * found.model.values()["ke"]})
+    rest = prior.only([key for key in prior.keys if key != "ke"])
+    start = at(found.model.with_values({"ke": off.values()["ke"]}), found, rest)
+    other, _, left = minimise(start, rest, lambda model: at(model, found, rest), rounds=50, enough=0.1)
+    more = other.cost + rest.penalty(other.model.values()) - ended
+    assert left < 0.1 and more > 100
+    assert one_step_ahead(found, runs, rest, off) - ahead == pytest.approx(more, rel=0.2)
