@@ -94,6 +94,10 @@ def test_a_channel_that_was_recorded_late_is_found_moved_and_said(late: float) -
         assert one.value_s == pytest.approx(late * PERIOD_S, abs=0.1 * PERIOD_S)
         assert abs(one.value_s - late * PERIOD_S) < 5 * one.sd_s
         assert "s after its voltage" in one.sentence
+        assert "a lag of its sensor" in one.sentence and "recorded late" not in one.sentence
+        # Nothing answers before it is driven: what comes early is beside a voltage that is late.
+        early = replace(one, value_s=-one.value_s).sentence
+        assert "s before its voltage" in early and "the voltage was recorded late" in early
     inertia, sd = found.fit.model.file.motor.J, found.fit.sd()["J"]
     assert inertia == pytest.approx(SLOWER["J"], rel=0.01)
     assert abs(inertia - SLOWER["J"]) < 4 * sd

@@ -179,9 +179,12 @@ class Delay:
     @property
     def sentence(self) -> str:
         """For the reader."""
-        way = "after" if self.value_s > 0 else "before"
-        late = f"{abs(self.value_s):.4g} +- {self.sd_s:.2g} s {way} its voltage"
-        return f"{self.recording}: {self.channel} comes {late}; it was moved by as much. A lag of its sensor looks alike."
+        size = f"{abs(self.value_s):.4g} +- {self.sd_s:.2g} s"
+        way, why = "after", "a lag of its sensor looks alike"
+        if self.value_s < 0:
+            # Nothing answers before it is driven.
+            way, why = "before", "the voltage was recorded late, or its sensor lags"
+        return f"{self.recording}: {self.channel} comes {size} {way} its voltage; it was moved by as much, but {why}."
 
 
 def delays_of(found: Fit, runs: Sequence[Run]) -> tuple[Delay, ...]:
