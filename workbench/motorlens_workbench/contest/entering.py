@@ -19,12 +19,14 @@ from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
-from motorlens_workbench.refit import KEPT, ahead, anew, begun, nearly, promise, settled, with_hypothesis
+from motorlens_workbench.refit import ahead, anew, begun, nearly, promise, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
-# Hypotheses that are fitted in full at each step, or with which the motor is estimated anew to the end.
+# Hypotheses that are fitted in full at each step.
 REFITTED = 4
+# Names with which the motor is estimated to the end, of all that are tried.
+ESTIMATED = 6
 
 # The model in which a name was tried, and the same with it.
 Attempt = tuple[Fitted, Fitted]
@@ -196,10 +198,7 @@ def enter_anew(
     without = ahead(here.fitted, base)
     left = on_all_cores(lambda one: ahead(about(one), base), list(named.values()))
     won = {name: without - cost for name, cost in zip(named, left, strict=True) if cost < without}
-    # Promises are kept by half, or nothing comes of them.
-    enough = KEPT * max(won.values(), default=0.0)
-    able = sorted((name for name in won if won[name] >= enough), key=lambda name: -won[name])
-    nearest = [named[name] for name in able[:REFITTED]]
+    nearest = [named[name] for name in sorted(won, key=lambda name: -won[name])[:ESTIMATED]]
     say(f"and to the end with {', '.join(one.name.replace('_', ' ') for one in nearest) or 'none'}")
 
     def to_the_end(one: Score) -> Fitted | None:
