@@ -4,27 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.hidden import Case, generate_experiment
+from helpers.textbook import textbook_on
 
-from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
-from motorlens_physics.motor_file import read_motor_file
-from motorlens_physics.recording import read_recording
 from motorlens_workbench.contest.entering import enter_unseen
 from motorlens_workbench.contest.needed import beyond_chance, unseen
-from motorlens_workbench.diagnose import fitted_of
-from motorlens_workbench.standing import Standing, stand
 
 STRIBECK = {"name": "stribeck_friction", "size": 0.0026, "shape": {"w_k": 15.1}}
 COGGING = {"name": "cogging_torque", "size": 0.0084, "shape": {"cog_N": 12.0, "cog_p": 1.9}}
-
-
-def bare(folder: Path, motor: str, hidden: list[dict[str, Any]]) -> Standing:
-    """The textbook on ten seconds of steps without a load."""
-    case = Case(id="held", seed=4, motor=motor, kind="none", noise=0.01, small=True)
-    path = generate_experiment({"case": case.as_json(), "hidden": hidden}, "no_load_steps", 10.0, folder)
-    file = read_motor_file(case.of_motor().write_datasheet(folder / "motor.toml"))
-    return stand(fitted_of(estimate(file, prepare_all([read_recording(path)], file))))
 
 
 @pytest.mark.fit
@@ -39,7 +25,8 @@ def bare(folder: Path, motor: str, hidden: list[dict[str, Any]]) -> Standing:
 def test_what_holds_a_rotor_is_known_once_it_is_fitted(
     tmp_path: Path, motor: str, hidden: dict[str, Any], seen: bool, expected: dict[str, tuple[float, float]]
 ) -> None:
-    here, said = bare(tmp_path, motor, [hidden]), []
+    said: list[str] = []
+    here = textbook_on(tmp_path, motor, [hidden], "no_load_steps", 10.0)
     assert (hidden["name"] in [one.name for one in beyond_chance(here, [], [])]) is seen
     step = enter_unseen(here, unseen(here, []), (), said.append)
     assert said == [f"fitting with {hidden['name'].replace('_', ' ')}"], "others do not promise to win enough"
@@ -52,7 +39,8 @@ def test_what_holds_a_rotor_is_known_once_it_is_fitted(
 
 @pytest.mark.fit
 def test_where_nothing_holds_the_rotor_nothing_wins_enough_and_all_is_refused(tmp_path: Path) -> None:
-    here, said = bare(tmp_path, "servo_24V", []), []
+    said: list[str] = []
+    here = textbook_on(tmp_path, "servo_24V", [], "no_load_steps", 10.0)
     names = {one.name for one in unseen(here, [])}
     assert {"stribeck_friction", "coulomb_friction", "cogging_torque"} <= names
     step = enter_unseen(here, unseen(here, []), (), said.append)

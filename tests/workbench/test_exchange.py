@@ -1,24 +1,16 @@
 """A name that has entered a model of recordings by another plant: what stands in its place in the end."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.hidden import Case, generate_experiment
+from helpers.textbook import textbook_on, with_name
 
-from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
-from motorlens_physics.motor_file import read_motor_file
-from motorlens_physics.recording import read_recording
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest import exchange
 from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
-from motorlens_workbench.diagnose import fitted_of
-from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Accepted
-from motorlens_workbench.refit import settled, with_hypothesis
 from motorlens_workbench.standing import Standing, stand
 from motorlens_workbench.verdict import _groups
 
@@ -30,21 +22,16 @@ ALIKE = {"coulomb_friction", "hysteresis_iron_loss"}
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory: pytest.TempPathFactory) -> Standing:
     """The textbook on a recording with Coulomb friction."""
-    folder: Path = tmp_path_factory.mktemp("friction")
-    case = Case(id="friction", seed=4, motor="servo_24V", kind="none", noise=0.01, small=True)
     hidden = [{"name": "coulomb_friction", "size": FRICTION_NM, "shape": {}}]
-    path = generate_experiment({"case": case.as_json(), "hidden": hidden}, "no_load_steps", 12.0, folder)
-    file = read_motor_file(case.of_motor().write_datasheet(folder / "motor.toml"))
-    return stand(fitted_of(estimate(file, prepare_all([read_recording(path)], file))))
+    return textbook_on(tmp_path_factory.mktemp("friction"), "servo_24V", hidden, "no_load_steps", 12.0)
 
 
 def entered(bare: Standing, name: str) -> tuple[Standing, Accepted]:
     """With a name in the model, fitted in full."""
-    score = best_of(bare.scores)[name]
-    fitted = with_hypothesis(bare.fitted, bare.book.beside(), score)
-    assert fitted is not None
-    accepted = Accepted(score.entry.hypothesis, score.gain / score.scatter, score.scatter, score.weight)
-    return stand(settled(fitted)), accepted
+    score, fitted = with_name(bare, name)
+    return stand(fitted), Accepted(
+        score.entry.hypothesis, score.gain / score.scatter, score.scatter, score.weight
+    )
 
 
 @pytest.mark.fit

@@ -171,7 +171,7 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         quiet = _quiet(part.run, part.noise)
         ends = {way: _ends(point, prior, r, quiet, (*way, ambient), (0,), straight=False)[0] for way in ways}
         here = ends.pop((voltage, load))
-        # Which of them can be simulated no more than another is nothing to go by.
+        # What cannot be simulated is compared with nothing.
         able = {way: end for way, end in ends.items() if np.isfinite([here.cost, end.cost]).all()}
         odds = [float(np.exp(0.5 * min(_won(here, end, inflation), 0.0))) for end in able.values()]
         total = 1.0 + sum(odds)

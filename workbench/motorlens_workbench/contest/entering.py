@@ -1,5 +1,7 @@
 """Which name enters a model next: the best are fitted in full, and the best of those enters if it is beyond chance there.
 
+What may hold a rotor at rest is looked at from models that have it, once nothing else is beyond chance.
+
 Where no name does though something is missing, or where the model with one still does not follow, the motor is estimated
 from the beginning with each name of the equation: what is missing bends a fit, and from where that ends no name may help.
 """

@@ -5,6 +5,7 @@ that says too little; then the score test asks the same, seen from the model wit
 ask which of them recordings prefer, block of time by block of time. None counts for more than the likelihood rises.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,9 +59,7 @@ def held_score(book: Ledger, plain: Ledger, fitted: Fitted, hypothesis: Hypothes
 
     Colour takes away what lasts, white noise believes all of it: what is missing shows either way.
     """
-    both = [own_score(one, fitted, hypothesis) for one in (book, plain)]
-    told = [score for score in both if score is not None]
-    return min(told, key=lambda score: score.weight) if len(told) == len(both) else None
+    return _weaker([own_score(one, fitted, hypothesis) for one in (book, plain)])
 
 
 def lacking_score(lacking: Fitted, hypothesis: Hypothesis) -> Score | None:
@@ -69,11 +68,14 @@ def lacking_score(lacking: Fitted, hypothesis: Hypothesis) -> Score | None:
     Raises:
         ModelError: the model cannot be simulated.
     """
-    both = []
-    for book in summed(lacking, [hypothesis]):
-        both.append(best_of(book.beside().scores(book.entries)).get(hypothesis.name))
-    told = [score for score in both if score is not None]
-    return min(told, key=lambda score: score.weight) if len(told) == len(both) else None
+    books = summed(lacking, [hypothesis])
+    return _weaker([best_of(book.beside().scores(book.entries)).get(hypothesis.name) for book in books])
+
+
+def _weaker(scores: Sequence[Score | None]) -> Score | None:
+    """The one that weighs least; None if one is not told."""
+    told = [score for score in scores if score is not None]
+    return min(told, key=lambda score: score.weight) if len(told) == len(scores) else None
 
 
 def agreement(here: Standing, end: Fitted, lacking: Fitted, hypothesis: Hypothesis, rise: float) -> float:
@@ -89,10 +91,8 @@ def agreement(here: Standing, end: Fitted, lacking: Fitted, hypothesis: Hypothes
     Raises:
         ModelError: a model cannot be simulated.
     """
-    by_block, seen = (
-        consistent(likelier_by_block(here, end, lacking), rise),
-        lacking_score(lacking, hypothesis),
-    )
+    by_block = consistent(likelier_by_block(here, end, lacking), rise)
+    seen = lacking_score(lacking, hypothesis)
     return by_block if seen is None else max(by_block, min(seen.gain, max(rise, 0.0)) / seen.scatter)
 
 
@@ -119,7 +119,7 @@ class Worth:
         needed: the weight that it needs.
         lacking: the likelier of the model that stands and the one with the name taken out again.
         unlikely: of what the model with the name leaves, see `unlikely_from`.
-        kept: how much less unlikely it is what the model without it leaves than what the model that stands does.
+        kept: by how much less unlikely is what `lacking` leaves than what the model that stands leaves.
         agreed: squared ratio to which blocks of time agree on the name, where that tells more than Wald's test; else 0.
     """
 

@@ -1,0 +1,36 @@
+"""The textbook's motor on a recording of another plant that has more to it, and the same with a name added."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from helpers.hidden import Case, generate_experiment
+
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import read_recording
+from motorlens_workbench.diagnose import fitted_of
+from motorlens_workbench.evidence.look import best_of
+from motorlens_workbench.evidence.score import Score
+from motorlens_workbench.fitted import Fitted
+from motorlens_workbench.refit import settled, with_hypothesis
+from motorlens_workbench.standing import Standing, stand
+
+
+def textbook_on(
+    folder: Path, motor: str, hidden: Sequence[dict[str, Any]], test: str, seconds: float
+) -> Standing:
+    """The textbook fitted to a test of a motor in which effects are hidden, with 1 % of noise on all channels."""
+    case = Case(id="textbook", seed=4, motor=motor, kind="none", noise=0.01, small=True)
+    path = generate_experiment({"case": case.as_json(), "hidden": list(hidden)}, test, seconds, folder)
+    file = read_motor_file(case.of_motor().write_datasheet(folder / "motor.toml"))
+    return stand(fitted_of(estimate(file, prepare_all([read_recording(path)], file))))
+
+
+def with_name(bare: Standing, name: str) -> tuple[Score, Fitted]:
+    """What a look says of a name, and the model that has it, fitted in full."""
+    score = best_of(bare.scores)[name]
+    fitted = with_hypothesis(bare.fitted, bare.book.beside(), score)
+    assert fitted is not None
+    return score, settled(fitted)
