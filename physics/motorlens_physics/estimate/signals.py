@@ -207,36 +207,40 @@ def _trend(z, walk, rounds, apart, own, lasting, remains):  # type: ignore[no-un
         (generalised cross-validation; white noise, all known), and twice the negative logarithmic likelihood.
     """
     samples = len(z)
+    known = np.ones(samples, np.bool_) if apart == 0 else np.arange(samples) // apart % 2 == 0
     of_slope, of_level = np.full(samples, walk), np.full(samples, STEPS if rounds > 1 else 0.0)
     before, error = np.empty((samples, 6)), np.empty(samples)
-    out, rest = np.empty(samples), np.empty(samples)
+    out, rest, unlikely = np.empty(samples), np.empty(samples), 0.0
     for still in range(rounds - 1, -1, -1):
         # Level, slope and coloured noise, and their covariance, given the samples before.
         level, slope, drift = z[0], 0.0, 0.0
         a, b, c, d, e, f = ANY, 0.0, ANY, 0.0, 0.0, lasting
-        unlikely = 0.0
         for k in range(samples):
             at = before[k]
             at[0], at[1], at[2], at[3], at[4], at[5] = a, b, c, d, e, f
             out[k], rest[k], error[k] = level, drift, z[k] - level - drift
-            if apart == 0 or k // apart % 2 == 0:
+            if known[k]:
                 p, q, w = a + d, b + e, d + f
                 scale = p + w + own
-                gain, turn, more = p / scale, q / scale, w / scale
-                level, slope, drift = (
-                    level + gain * error[k],
-                    slope + turn * error[k],
-                    drift + more * error[k],
-                )
+                counts = 1.0 / scale
+                gain, turn = counts * p, counts * q
+                level, slope = level + gain * error[k], slope + turn * error[k]
                 # Without differences of large numbers: where a level steps, its variance is large.
-                a, b, c, d, e, f = (
-                    (a * (own + f) - d * d) / scale, (b * (own + d + f) - p * e) / scale, c - turn * q,
-                    (d * (own + d) - a * f) / scale, (e * (own + p) - b * w) / scale, (f * (own + a) - d * d) / scale,
-                )  # fmt: skip
-                unlikely += np.log(scale) + error[k] ** 2 / scale
-            level, drift = level + slope, remains * drift
+                if lasting > 0:
+                    drift += counts * w * error[k]
+                    a, b, c, d, e, f = (
+                        counts * (a * (own + f) - d * d), counts * (b * (own + d + f) - p * e), c - turn * q,
+                        counts * (d * (own + d) - a * f), counts * (e * (own + p) - b * w), counts * (f * (own + a) - d * d),
+                    )  # fmt: skip
+                else:
+                    a, b, c = counts * a * own, counts * b * own, c - turn * q
+                if not still:
+                    unlikely += np.log(scale) + counts * error[k] ** 2
+            level += slope
             a, b, c = a + 2 * b + c + of_level[k], b + c, c + of_slope[k]
-            d, e, f = remains * (d + e), remains * e, remains**2 * f + (1 - remains**2) * lasting
+            if lasting > 0:
+                drift *= remains
+                d, e, f = remains * (d + e), remains * e, remains**2 * f + (1 - remains**2) * lasting
         # Their scores, and the variances of these, given the samples after.
         r, s, m = 0.0, 0.0, 0.0
         rr, rs, ss, rm, sm, mm = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -247,35 +251,43 @@ def _trend(z, walk, rounds, apart, own, lasting, remains):  # type: ignore[no-un
                 of_slope[k] = 0.5 * (walk + (of_slope[k] * s) ** 2 + of_slope[k] - of_slope[k] ** 2 * ss)
             a, b, c, d, e, f = before[k]
             # From after to before the step ahead.
-            s, m = r + s, remains * m
+            s += r
             ss, rs = rr + 2 * rs + ss, rr + rs
-            sm, rm, mm = remains * (rm + sm), remains * rm, remains**2 * mm
-            if apart == 0 or k // apart % 2 == 0:
+            if lasting > 0:
+                m *= remains
+                sm, rm, mm = remains * (rm + sm), remains * rm, remains**2 * mm
+            if known[k]:
                 p, q, w = a + d, b + e, d + f
                 counts = 1.0 / (p + w + own)
-                gain, turn, more = counts * p, counts * q, counts * w
-                # What the level and the noise after this sample keep of those before it.
-                keep, stay = counts * (w + own), counts * (p + own)
-                x, y, n = (
-                    keep * rr - turn * rs - more * rm,
-                    keep * rs - turn * ss - more * sm,
-                    keep * rm - turn * sm - more * mm,
-                )
-                first = -gain * rr - turn * rs + stay * rm
-                other = -gain * rs - turn * ss + stay * sm
-                last = -gain * rm - turn * sm + stay * mm
-                others += counts + gain * (gain * rr + 2 * turn * rs + 2 * more * rm)
-                others += turn * (turn * ss + 2 * more * sm) + more * more * mm
-                r, m = (
-                    counts * error[k] + keep * r - turn * s - more * m,
-                    counts * error[k] - gain * r - turn * s + stay * m,
-                )
-                rr, rs, rm = (
-                    counts + keep * x - turn * y - more * n,
-                    y,
-                    counts - gain * x - turn * y + stay * n,
-                )
-                sm, mm = other, counts - gain * first - turn * other + stay * last
+                # What the level after this sample keeps of that before it.
+                gain, turn, keep = counts * p, counts * q, counts * (w + own)
+                if lasting > 0:
+                    more, stay = counts * w, counts * (p + own)
+                    x, y, n = (
+                        keep * rr - turn * rs - more * rm,
+                        keep * rs - turn * ss - more * sm,
+                        keep * rm - turn * sm - more * mm,
+                    )
+                    first = -gain * rr - turn * rs + stay * rm
+                    other = -gain * rs - turn * ss + stay * sm
+                    last = -gain * rm - turn * sm + stay * mm
+                    others += counts + gain * (gain * rr + 2 * turn * rs + 2 * more * rm)
+                    others += turn * (turn * ss + 2 * more * sm) + more * more * mm
+                    r, m = (
+                        counts * error[k] + keep * r - turn * s - more * m,
+                        counts * error[k] - gain * r - turn * s + stay * m,
+                    )
+                    rr, rs, rm = (
+                        counts + keep * x - turn * y - more * n,
+                        y,
+                        counts - gain * x - turn * y + stay * n,
+                    )
+                    sm, mm = other, counts - gain * first - turn * other + stay * last
+                else:
+                    x, y = keep * rr - turn * rs, keep * rs - turn * ss
+                    others += counts + gain * (gain * rr + 2 * turn * rs) + turn * turn * ss
+                    r = counts * error[k] + keep * r - turn * s
+                    rr, rs = counts + keep * x - turn * y, y
             out[k] += a * r + b * s + d * m
             rest[k] = z[k] - out[k] - rest[k] - d * r - e * s - f * m
             squares += rest[k] ** 2
