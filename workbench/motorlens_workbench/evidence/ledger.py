@@ -10,7 +10,7 @@ The correction for leverage of a block is that of MacKinnon and White (1985), do
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -367,8 +367,3 @@ def _chunks(shapes: Sequence[Shape]) -> Iterator[list[Shape]]:
         chunk.append(shape)
     if chunk:
         yield chunk
-
-
-def with_entries(book: Ledger, entries: Sequence[Entry]) -> Ledger:
-    """The ledger with further shapes."""
-    return replace(book, entries=(*book.entries, *entries))

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.prior import Prior
-from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers, with_entries
+from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers
 from motorlens_workbench.evidence.score import Entry, Score
+from motorlens_workbench.hypotheses.bumps import in_bumps
 from motorlens_workbench.hypotheses.changes import changes
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
@@ -112,16 +113,16 @@ def looks(
     """
     made = []
     for lens, book in zip(lenses, ledgers(lines, lenses, prior, listed), strict=True):
-        book = with_entries(book, changes(book, lines, constants))
+        book = replace(book, entries=(*in_bumps(book.entries), *changes(book, lines, constants)))
         beside = book.beside()
         made.append(Look(tuple(lines), lens, book, beside, tuple(beside.scores(book.entries))))
     return made
 
 
 def best_of(scores: Sequence[Score]) -> dict[str, Score]:
-    """The strongest possible shape of every hypothesis, by name."""
+    """The strongest possible shape of every hypothesis, by name: that which weighs most."""
     best: dict[str, Score] = {}
     for score in scores:
-        if score.possible and (score.name not in best or score.gain > best[score.name].gain):
+        if score.possible and (score.name not in best or score.weight > best[score.name].weight):
             best[score.name] = score
     return best

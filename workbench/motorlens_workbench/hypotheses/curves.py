@@ -94,13 +94,17 @@ class Curve(Term):
 
         Nothing against an angle that is not known, or while the shaft does not turn whole revolutions.
         """
+        return self.adding(self.hats(trajectory))
+
+    def hats(self, trajectory: Trajectory) -> Array:
+        """(N, k) what the shares of the knots are; see `forcing`."""
         if self.against != "angle":
-            return self.adding(hat_functions(self.knots, variables(trajectory)[self.against]))
+            return hat_functions(self.knots, variables(trajectory)[self.against])
         angle = trajectory.states.get("phi")
         if angle is None:
-            return self.adding(np.zeros((len(trajectory.inputs.time_s), len(self.knots))))
+            return np.zeros((len(trajectory.inputs.time_s), len(self.knots)))
         moving = turning(angle, trajectory.speed_rad_s, 2 * np.pi)
-        return self.adding(around(self.knots, angle) * moving[:, None])
+        return around(self.knots, angle) * moving[:, None]
 
 
 def hat_functions(knots: Array, z: Array) -> Array:

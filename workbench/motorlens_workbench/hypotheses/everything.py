@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from motorlens_physics.effect import Effect
+from motorlens_workbench.hypotheses.bumps import fine_curves
 from motorlens_workbench.hypotheses.contact import contacts
 from motorlens_workbench.hypotheses.courses import courses
 from motorlens_workbench.hypotheses.curves import curves
@@ -28,6 +29,7 @@ def everything(lines: Sequence[Line], own: Sequence[type[Effect]] = ()) -> list[
         *effects(file, own),
         *sensors(file, runs),
         *curves(trajectories, file.rated),
+        *fine_curves(trajectories, file.rated),
         *memories(trajectories),
         *courses(file, trajectories, channels, loaded=loaded),
         *contacts(lines),

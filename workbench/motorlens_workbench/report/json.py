@@ -16,6 +16,7 @@ from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import held_out
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.experiments import Experiment
+from motorlens_workbench.hypotheses.bumps import Bump
 from motorlens_workbench.hypotheses.changes import Change
 from motorlens_workbench.hypotheses.contact import Contact
 from motorlens_workbench.hypotheses.courses import Course
@@ -204,6 +205,9 @@ def _shape(score: Score) -> str:
         )
     _, y, _ = shape.values(score.coefficient, score.covariance)
     size = f"{float(np.ptp(y)):.2g} {shape.unit} from the least to the most"
+    if isinstance(shape, Bump):
+        place = shape.place(score.coefficient)
+        return f"a {shape.term} about {place:.3g} rad/s alone, {size}"
     if isinstance(shape, Course):
         return f"{shape.parameter} is no constant but changes with {shape.against}, by {size}"
     return f"a {shape.balance} against {shape.against}, {size}"
