@@ -54,7 +54,7 @@ def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
     if itself is None:
         return Rivals(name, {name: 1.0}, scores)
     # What the model leaves out lets rivals differ by a share of what the accepted one explains.
-    scatter = (itself.scatter + CRITERIA.alike * itself.gain) * CRITERIA.tempered
+    scatter = itself.scatter + CRITERIA.alike * itself.gain
     # Its own column is per standard deviation of its prior, that of a rival per typical size.
     typical = itself.in_units(abs(accepted.hypothesis.typical) / prior.sd[key])
     scores[name] = replace(typical, entry=replace(itself.entry, hypothesis=accepted.hypothesis))
