@@ -28,16 +28,25 @@ def coloured(run: Run, white: Array, used: int) -> Whitener:
     return fit_whitener(white, run.valid, np.full(white.shape[1], SMALLEST), used)
 
 
-def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise) -> float:
+def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise, used: int) -> float:
     """Twice the logarithmic likelihood that the filter for the colour of innovations (N, C) wins over none, at least 0.
 
     It is a measure of what the model of the noise, or the model, does not explain. Nothing is won below the smallest noise
-    that is believed, nor below what is expected of readings coarser than the noise: how often they change goes with where
-    the signal lies between two levels, and that lasts.
+    that is believed. A channel whose readings are coarser than its noise does not count, nor what it foretells of others:
+    how often its readings change goes with where the signal lies between two levels, and that lasts.
+
+    Args: as of `coloured`.
+        whitener: the filter.
+        noise: of the recording.
     """
+    fine = noise.channels > np.maximum(noise.floor, run.steps**2 / 12)
+    if not fine.any():
+        return 0.0
+    if not fine.all():
+        white = white[:, fine]
+        whitener = coloured(run, white, used)
     left = whitener(white) * whitener.sigma
     told = run.valid.copy()
     told[: whitener.order] = False
-    least = np.where(noise.channels <= np.maximum(noise.floor, run.steps**2 / 12), 1.0, SMALLEST**2)
-    before, after = (np.maximum(np.mean(y[told] ** 2, axis=0), least) for y in (white, left))
+    before, after = (np.maximum(np.mean(y[told] ** 2, axis=0), SMALLEST**2) for y in (white, left))
     return max(float(np.sum(told) * np.sum(np.log(before / after))), 0.0)

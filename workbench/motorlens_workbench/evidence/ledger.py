@@ -186,6 +186,10 @@ class Beside:
         by_block, inner = self.projected(entries)
         raw = np.array([np.diagonal(entry.inner.sum(axis=0)) for entry in entries])
         kept = np.diagonal(inner.sum(axis=1), axis1=1, axis2=2) > COPY * np.maximum(raw, 1e-300)
+        # What a free term does within a single block of time no other block could contradict.
+        of_block = np.diagonal(inner[:, :-1], axis1=2, axis2=3)
+        free = np.array([not entry.hypothesis.named for entry in entries])
+        kept &= ~free[:, None] | (of_block.max(axis=1) <= MOST_OF_IT * of_block.sum(axis=1))
         able, widths = kept.any(axis=1), kept.sum(axis=1)
         if kept.shape[1] <= 2:
             able &= kept.all(axis=1)
@@ -250,7 +254,7 @@ class Lens:
         if not self.plain:
             left = seen.filtered.white[:, :, 0]
             whitener = coloured(line.run, left, len(line.keys))
-            colour = gain_of(line.run, left, whitener, self.noises[line.r])
+            colour = gain_of(line.run, left, whitener, self.noises[line.r], len(line.keys))
         error = line.error + (seen.error - rest)
 
         def white(columns: Array, blocks: Iterable[slice]) -> Iterator[Array]:
