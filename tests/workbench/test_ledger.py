@@ -126,12 +126,13 @@ def test_what_a_free_term_does_within_one_block_of_time_is_not_tested(problem):
     once, twice, rows = np.zeros((ROWS, 1)), np.zeros((ROWS, 1)), ROWS // BLOCKS
     once[3 * rows : 4 * rows] = 1.0
     twice[3 * rows : 5 * rows] = 1.0
-    book = book_of(columns[:, :2], [once, twice, np.hstack([once, columns[:, 2:3]])], error)
+    book = book_of(columns[:, :2], [once, twice, np.hstack([once, columns[:, 2:4]])], error)
     alone, two, both = (book.beside().score(entry) for entry in book.entries)
     assert alone is None
     assert two is not None and two.width == 1
-    assert both is not None and both.width == 1 and both.coefficient[0] == 0.0
-    assert both.gain == pytest.approx(score_of(book_of(columns[:, :2], [columns[:, 2:3]], error)).gain)
+    assert both is not None and both.width == 2 and both.coefficient[0] == 0.0
+    rest = score_of(book_of(columns[:, :2], [columns[:, 2:4]], error))
+    assert both.gain == pytest.approx(rest.gain)
     entry = book.entries[0]
     named = replace(entry, hypothesis=replace(entry.hypothesis, kind="effect", typical=1.0))
     assert book.beside().score(named) is not None

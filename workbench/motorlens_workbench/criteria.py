@@ -26,8 +26,8 @@ class Criteria:
         alike: share of what a name explains by which another may explain less and still stand in its place.
         instead: share of what a name explains that a term without one must explain for the name not to be the whole truth.
         largest: multiples of its typical size that an effect or a fault may have, one standard deviation.
-        tempered: how many times as wide as the likelihood says the evidence is by which names are ranked to be fitted: a model
-            that lacks something bends it.
+        tempered: how many times as wide as the likelihood says the evidence is by which names are ranked to be fitted:
+            a model that lacks something bends it.
         credible: probability that a group of rivals holds.
         follows: error over the noise of a channel, on what was not fitted to, from which on something is missing, even if no
             hypothesis says what: more than colour and slow noise leave in worlds with nothing missing.
