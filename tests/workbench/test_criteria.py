@@ -1,0 +1,106 @@
+"""The numbers that decide a diagnosis, each from both sides: by what others draw, by chance, or by what is meant by it."""
+
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.hidden.effects import CATALOGUE
+from helpers.hidden.motors import MOTORS
+from helpers.ledgers import ROWS, book_of
+
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_workbench.contest.bayes_factor import simplest
+from motorlens_workbench.contest.rivals import Rivals, rivals_of
+from motorlens_workbench.evidence.score import Score
+from motorlens_workbench.fitted import Accepted
+from motorlens_workbench.hypotheses.effects import catalogue, of_effect
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
+
+
+def sized(coefficient: float, *, information: float = 1e6, gain: float = 100.0) -> Score:
+    """A single column of an effect that may have either sign and any size."""
+    one = np.array([[1.0]])
+    anything = SimpleNamespace(limits=lambda: (-np.inf, np.inf))
+    entry = SimpleNamespace(shape=anything, hypothesis=SimpleNamespace(named=True))
+    return Score(
+        entry, np.array([coefficient]), one / information, one * information, gain, 1.0, 20.0, 1, np.zeros((4, 1)), one,
+    )  # type: ignore[arg-type]  # fmt: skip
+
+
+@pytest.mark.parametrize("motor", MOTORS.values(), ids=lambda motor: motor.name)
+def test_an_effect_may_be_as_large_as_another_generator_makes_it_and_not_all_that_drives_the_motor(motor):
+    with tempfile.TemporaryDirectory() as folder:
+        file = read_motor_file(motor.write_datasheet(Path(folder) / "motor.toml"))
+    driven = {"voltage": file.rated.voltage_V, "torque": file.rated.torque_Nm}
+    for name, drawn in CATALOGUE.items():
+        typical = of_effect(catalogue()[name], file).typical
+        assert sized(drawn.largest * drawn.unit(motor) / typical).possible, name
+        (quantity, power), *more = drawn.of.items() or [("", 0)]
+        if quantity in driven and power == 1 and not more:
+            assert not sized(driven[quantity] / typical).possible, name
+
+
+def test_a_group_holds_the_truth_in_19_of_20_and_would_not_without_its_last():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        names = [f"n{k}" for k in range(int(rng.integers(1, 8)))]
+        probability = dict(zip(names, rng.dirichlet(np.full(len(names), 0.3)).tolist(), strict=True))
+        likeliest = max(names, key=lambda name: probability[name])
+        group = Rivals(likeliest, probability, {}).group
+        held = sum(probability[name] for name in group)
+        assert held >= 0.95
+        assert held - probability[group[-1]] < 0.95
+
+
+def test_a_bump_is_told_rather_than_a_curve_that_leaves_little_less():
+    """What eighteen columns win more than one by is what eighteen win by chance, or what the linearised problem errs by."""
+
+    def challenger(width: int, won: float) -> SimpleNamespace:
+        return SimpleNamespace(score=SimpleNamespace(width=width), won=won)
+
+    curve = challenger(18, 300.0)
+    for won, told in ((300.0 - 18.0, 1), (300.0 - 100.0, 18)):
+        assert simplest([curve, challenger(1, won)]).score.width == told  # type: ignore[list-item]
+
+
+def test_the_doubt_of_a_correction_is_what_a_hundred_samples_leave_in_the_variance_behind_it():
+    """Noise of an input makes a column and the error alike by its variance, which is taken out as it was estimated."""
+    rng = np.random.default_rng(1)
+    information, moved = 50.0, 40.0
+    estimates = np.mean(rng.standard_normal((4000, 100)) ** 2, axis=1)
+    # What is taken out of the score is in proportion to the variance; what that leaves adds to a variance of one.
+    left = moved * (1 - estimates)
+    scatter = np.mean(left**2) / information
+    score = sized(1.0, information=information)
+    doubted = Score(**{**vars(score), "inverse": np.array([[1 / information]])})
+    told = doubted.doubt_of(np.array([100.0 + moved]), np.array([100.0]))
+    assert 1.0 <= told / scatter <= 4.0
+
+
+@pytest.mark.parametrize(("less", "stands"), [(0.002, True), (0.03, False)])
+def test_a_rival_stands_beside_a_name_where_it_explains_a_few_thousandths_less(less, stands):
+    """No friction is a tanh: what is right in kind is a twentieth off in shape, a few thousandths of what it explains.
+
+    A name explains 10 000, a rival as much but for what the angle between both takes away.
+    """
+    rng = np.random.default_rng(2)
+    name, other = np.linalg.qr(rng.standard_normal((ROWS, 2)))[0].T
+    size = 100.0
+    rival = np.sqrt(1 - less) * name + np.sqrt(less) * other
+    book = book_of(name[:, None], [100 * rival[:, None]], rng.standard_normal(ROWS))
+    (entry,) = book.entries
+    hypothesis = Hypothesis("rival", "effect", "mechanical", (entry.shape,), "rival.size", 1.0)
+    entry = type(entry)(hypothesis, entry.shape, entry.cross, entry.inner)
+    book = type(book)(
+        **{**vars(book), "keys": ("name.size",), "unit": {"name.size": 1.0}, "entries": (entry,)}
+    )
+    file = SimpleNamespace(meaning=lambda key: SimpleNamespace(null=0.0))
+    model = SimpleNamespace(file=file, values=lambda: {"name.size": size})
+    here = SimpleNamespace(
+        fitted=SimpleNamespace(model=model, prior=SimpleNamespace(sd={"name.size": 1.0})), book=book
+    )
+    itself = Hypothesis("name", "effect", "mechanical", (entry.shape,), "name.size", 100.0)
+    group = rivals_of(here, Accepted(itself, 1e4, 1.0, 100.0)).group  # type: ignore[arg-type]
+    assert group == (("name", "rival") if stands else ("name",))
