@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 # A torque may be over in so few samples only where the motor follows in as few: elsewhere it would pass for whatever is
 # missing. Within a sample only where no load was measured.
 SHORT, WITHIN_A_SAMPLE = 3.0, 1.0
-# Over how many samples coloured noise is correlated: the shortest, the usual, and what is no noise if that is the likeliest:
-# the errors of a model that lacks something mostly last longer.
+# Over how many samples coloured noise is correlated: the shortest, the usual, and the longest that is looked at. What lasts
+# longer than usual beyond chance is no noise: the errors of a model that lacks something mostly do.
 CORRELATED = (3.0, 30.0, 60.0)
 # How near the logarithm of that number is sought.
 DURATION = 0.1
@@ -196,14 +196,12 @@ def coloured(
 
     shortest, usual, longest = CORRELATED
     first = [
-        (tried(begin.coloured(run, error, samples), samples), begin)
+        tried(begin.coloured(run, error, samples), samples)
         for begin in begins
         for samples in (shortest, usual)
     ]
-    (other, least), begin = min(first, key=lambda one: one[0][1])
+    other, least = min(first, key=lambda one: one[1])
     if cost - least < chdtri(TORQUE + len(run.channels), CHANCE / len(first)):
-        return noise
-    if least - tried(begin.coloured(run, error, longest), longest)[1] > chdtri(1, CHANCE):
         return noise
     likeliest = minimize_scalar(
         lambda logarithm: tried(other, np.exp(logarithm))[1],
@@ -211,6 +209,8 @@ def coloured(
         method="bounded",
         options={"xatol": DURATION},
     )
+    if likeliest.x > np.log(usual) and least - likeliest.fun > chdtri(1, CHANCE):
+        return noise
     other, _ = tried(other, np.exp(likeliest.x))
     left = read(other.space(run, linear, used), error).filtered.white[:, :, 0]
     powers = np.array([np.mean(part**2) for part in np.array_split(left, PARTS)])
