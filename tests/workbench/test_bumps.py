@@ -67,7 +67,7 @@ def test_a_bump_is_seen_where_a_curve_over_all_speeds_hardly_sees_it(here):
     bump, curve = best["torque about one speed"], best["torque against speed"]
     assert isinstance(bump.entry.shape, Bump)
     assert bump.weight > 1.5 * curve.weight
-    fine, coarse = np.diff(bump.entry.shape.curve.knots), np.diff(curve.entry.shape.knots)
+    fine, coarse = np.diff(bump.entry.shape.knots), np.diff(curve.entry.shape.knots)
     assert np.sum(fine) == pytest.approx(np.sum(coarse))
     assert np.median(fine) == pytest.approx(np.median(coarse) / FINER, rel=0.3)
 

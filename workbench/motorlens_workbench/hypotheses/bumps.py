@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.parameter import Rated
 from motorlens_physics.simulation import Trajectory
 from motorlens_workbench.evidence.score import Entry
 from motorlens_workbench.hypotheses.curves import Curve, free_curves, what_drives
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
-from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
 
@@ -33,54 +33,33 @@ class FineCurve(Curve):
 
 
 @dataclass(frozen=True)
-class Bump:
+class Bump(Curve):
     """A free term in one balance about one speed.
 
     Attributes:
-        curve: of which it is a part.
-        at: which of its knots.
+        at: which of the knots it takes.
     """
 
-    curve: FineCurve
     at: slice
-
-    @property
-    def term(self) -> str:
-        """What it is the course of."""
-        return self.curve.term
-
-    @property
-    def against(self) -> str:
-        """The variable."""
-        return self.curve.against
-
-    @property
-    def unit(self) -> str:
-        """Of its values."""
-        return self.curve.unit
 
     @property
     def width(self) -> int:
         """How many columns it has."""
         return int(self.at.stop - self.at.start)
 
-    def columns(self, line: Line) -> Array:
-        """(N, C, k) what a unit at each of its knots would change in the channels."""
-        return line.of_forcing(self.curve.adding(self.curve.hats(line.trajectory)[:, self.at]))
-
-    def limits(self) -> tuple[float, float]:
-        """Of the coefficient."""
-        return -np.inf, np.inf
+    def forcing(self, trajectory: Trajectory) -> Forcing:
+        """What a unit at each knot that it takes adds to the balances, (N, k) each."""
+        return self.adding(self.hats(trajectory)[:, self.at])
 
     def values(self, coefficient: Array, covariance: Array) -> tuple[Array, Array, Array]:
-        """(K,) the curve's knots, the bump there in its unit, and its standard deviation."""
-        value, sd = np.zeros((2, self.curve.width))
+        """(K,) all knots, the bump there in its unit, and its standard deviation."""
+        value, sd = np.zeros((2, len(self.knots)))
         value[self.at], sd[self.at] = coefficient, np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        return self.curve.knots, value, sd
+        return self.knots, value, sd
 
     def place(self, coefficient: Array) -> float:
         """About which speed it is, rad/s."""
-        return float(np.average(self.curve.knots[self.at], weights=np.abs(coefficient)))
+        return float(np.average(self.knots[self.at], weights=np.abs(coefficient)))
 
 
 def fine_curves(trajectories: Sequence[Trajectory], rated: Rated) -> list[Hypothesis]:
@@ -106,7 +85,7 @@ def in_bumps(entries: Sequence[Entry]) -> list[Entry]:
             made.append(entry)
             continue
         places = [slice(first, first + width) for width in WIDTHS for first in range(curve.width - width + 1)]
-        able = tuple(Bump(curve, at) for at in places)
+        able = tuple(Bump(curve.balance, curve.against, curve.knots, at) for at in places)
         hypothesis = replace(entry.hypothesis, shapes=able)
         made += [
             Entry(hypothesis, one, entry.cross[:, :, one.at], entry.inner[:, one.at, one.at]) for one in able
