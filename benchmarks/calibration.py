@@ -13,6 +13,8 @@ unidentified the share within two deviations is 95.4 % for a perfect calibration
 """
 
 import argparse
+import contextlib
+import io
 import sys
 import tempfile
 import time
@@ -136,7 +138,8 @@ def tour(seeds: int) -> None:
         for seed in range(seeds):
             path = str(Path(folder) / "tour.csv")
             line = [str(TOUR), "--scenario", "load_steps", "--noise", "0.2%", "--seed", str(seed), "-o", path]
-            run(parser.parse_args(line))
+            with contextlib.redirect_stdout(io.StringIO()):
+                run(parser.parse_args(line))
             runs = prepare_all([read_recording(path)], file)
             found = estimate(file, runs, base_prior(file, runs))
             values, truth, sd = found.fit.model.values(), file.values(), found.fit.sd()
