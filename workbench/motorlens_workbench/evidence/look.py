@@ -120,9 +120,14 @@ def looks(
 
 
 def best_of(scores: Sequence[Score]) -> dict[str, Score]:
-    """The strongest possible shape of every hypothesis, by name: that which weighs most."""
-    best: dict[str, Score] = {}
+    """The strongest possible shape of every hypothesis, by name.
+
+    Of a name that which explains most, for how it scatters is known only once it is fitted; of a term without one, which is
+    not, that which weighs most.
+    """
+    best: dict[str, tuple[float, Score]] = {}
     for score in scores:
-        if score.possible and (score.name not in best or score.weight > best[score.name].weight):
-            best[score.name] = score
-    return best
+        strength = score.gain if score.entry.hypothesis.named else score.weight
+        if score.possible and (score.name not in best or strength > best[score.name][0]):
+            best[score.name] = strength, score
+    return {name: score for name, (_, score) in best.items()}
