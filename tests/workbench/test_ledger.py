@@ -8,8 +8,10 @@ from helpers.ledgers import BLOCKS, ROWS, book_of
 from scipy.stats import chi2
 
 from motorlens_workbench.evidence.ledger import Ledger
+from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.null import FLIPS, null_of
 from motorlens_workbench.evidence.score import Score
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
 
 def score_of(book: Ledger, j: int = 0) -> Score:
@@ -103,6 +105,30 @@ def test_what_a_free_term_does_within_one_block_of_time_is_not_tested(problem):
     entry = book.entries[0]
     named = replace(entry, hypothesis=replace(entry.hypothesis, kind="effect", typical=1.0))
     assert book.beside().score(named) is not None
+
+
+@pytest.mark.parametrize(("kind", "chosen"), [("effect", "scatters"), ("unnamed", "agrees")])
+def test_of_a_name_the_shape_that_explains_most_is_taken_and_of_a_free_term_that_which_agrees(
+    problem, kind, chosen
+):
+    """A real drive's friction, in the one shape that fits it, scatters between blocks as long as its offset is missing.
+
+    By weight another shape was taken, and an armature reaction named in its place.
+    """
+    columns, error = problem
+    shape = dict(zip(("scatters", "agrees"), columns[:, 2:4].T, strict=True))
+    # Of either sign in every fourth block, and on the whole the larger; and the same in all of them.
+    sign = np.repeat(np.where(np.arange(BLOCKS) % 4 == 0, -1.0, 1.0), ROWS // BLOCKS)
+    error = error + 1.2 * sign * shape["scatters"] + 0.3 * shape["agrees"]
+    book = book_of(columns[:, :2], [column[:, None] for column in shape.values()], error)
+    hypothesis = Hypothesis(
+        "h", kind, "electrical", tuple(entry.shape for entry in book.entries), typical=1.0
+    )
+    scores = [book.beside().score(replace(entry, hypothesis=hypothesis)) for entry in book.entries]
+    told = dict(zip(shape, scores, strict=True))
+    assert told["scatters"].gain > told["agrees"].gain
+    assert told["scatters"].weight < told["agrees"].weight
+    assert best_of(scores)["h"] is told[chosen]
 
 
 def test_shapes_of_any_width_are_tested_together_and_stay_in_their_order():
