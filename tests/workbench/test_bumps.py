@@ -22,8 +22,8 @@ from motorlens_workbench.verdict import settle
 DT, N = 0.002, 2400
 # A resonance of what the motor drives, in N m, about a speed and over a width in rad/s.
 HEIGHT, SPEED, WIDTH = 0.3, 120.0, 6.0
-# Updates of the speed at which the bump acts, after which it no longer changes: a tenth of the last change remains.
-ROUNDS = 12
+# Updates of the speed at which the bump acts: each leaves less than a fiftieth of the change of the one before.
+ROUNDS = 6
 
 
 def recorded(height: float) -> Recording:

@@ -103,18 +103,17 @@ def test_what_a_free_term_does_within_one_block_of_time_is_not_tested(problem):
     rest = score_of(book_of(columns[:, :2], [columns[:, 2:4]], error))
     assert both.gain == pytest.approx(rest.gain)
     entry = book.entries[0]
-    named = replace(entry, hypothesis=replace(entry.hypothesis, kind="effect", typical=1.0))
-    assert book.beside().score(named) is not None
+    # As it is weighed where it is looked for, and where it stands in the model.
+    for kind, typical in (("effect", 1.0), ("unnamed", np.inf)):
+        named = replace(entry.hypothesis, kind=kind, key="effect.size", typical=typical)
+        assert book.beside().score(replace(entry, hypothesis=named)) is not None
 
 
 @pytest.mark.parametrize(("kind", "chosen"), [("effect", "scatters"), ("unnamed", "agrees")])
 def test_of_a_name_the_shape_that_explains_most_is_taken_and_of_a_free_term_that_which_agrees(
     problem, kind, chosen
 ):
-    """A real drive's friction, in the one shape that fits it, scatters between blocks as long as its offset is missing.
-
-    By weight another shape was taken, and an armature reaction named in its place.
-    """
+    """With names by weight, a real drive (EMPS) was answered with an armature reaction instead of its friction."""
     columns, error = problem
     shape = dict(zip(("scatters", "agrees"), columns[:, 2:4].T, strict=True))
     # Of either sign in every fourth block, and on the whole the larger; and the same in all of them.

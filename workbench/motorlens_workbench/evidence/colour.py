@@ -35,9 +35,12 @@ def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise, used: int)
     that is believed. A channel whose readings are coarser than its noise does not count, nor what it foretells of others:
     how often its readings change goes with where the signal lies between two levels, and that lasts.
 
-    Args: as of `coloured`.
+    Args:
+        run: the recording.
+        white: its innovations, in their standard deviations.
         whitener: the filter.
         noise: of the recording.
+        used: parameters already spent on the innovations.
     """
     fine = noise.channels > np.maximum(noise.floor, run.steps**2 / 12)
     if not fine.any():

@@ -41,7 +41,7 @@ COPY = 1e-7
 # Degrees of freedom of what a motor file states: Student's t, for data sheets err by more than they say (Lange, Little and
 # Taylor 1989, doi:10.1080/01621459.1989.10478852).
 FREEDOM = 4.0
-# Share of a test that one block may bear before its scatter is taken as unknown.
+# Share of a test that one block may bear before its scatter is taken as unknown, and a column of a free term as not tested.
 MOST_OF_IT = 0.9
 
 
@@ -186,9 +186,10 @@ class Beside:
         by_block, inner = self.projected(entries)
         raw = np.array([np.diagonal(entry.inner.sum(axis=0)) for entry in entries])
         kept = np.diagonal(inner.sum(axis=1), axis1=1, axis2=2) > COPY * np.maximum(raw, 1e-300)
-        # What a free term does within a single block of time no other block could contradict.
+        # What a free term does within a single block of time no other block could contradict. A name has a size, also where
+        # it stands in the model and is weighed as if it could have any.
         of_block = np.diagonal(inner[:, :-1], axis1=2, axis2=3)
-        free = np.array([not entry.hypothesis.named for entry in entries])
+        free = np.array([not entry.hypothesis.key for entry in entries])
         kept &= ~free[:, None] | (of_block.max(axis=1) <= MOST_OF_IT * of_block.sum(axis=1))
         able, widths = kept.any(axis=1), kept.sum(axis=1)
         if kept.shape[1] <= 2:
