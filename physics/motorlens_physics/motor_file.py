@@ -12,6 +12,10 @@ R_a0 = { value = 3.5, unit = "ohm", sd = 0.035, source = "published: arXiv 2104.
 [effects.coulomb_friction]
 tau_c = { value = 0.3, unit = "N*m", sd = 0.01, source = "fitted to bench.csv" }
 
+A fitted value keeps what was stated of it before, to which the next fit to the same recordings holds:
+
+R_a0 = { value = 3.61, unit = "ohm", sd = 0.02, source = "fitted to bench.csv", prior = { value = 3.5, sd = 0.035 } }
+
 [sensors.speed_sensor_gain]
 gain = { value = 1.02, unit = "1" }
 """
@@ -20,7 +24,7 @@ import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -35,19 +39,31 @@ SCHEMA = "motorlens.motor/1"
 _TOP = ("schema", "name", "description", "source", "brief_s", "rated", "parameters", "effects", "sensors")
 # Faults that a sensor can have and a command cannot.
 _NO_SENSOR = ("gain", "offset", "lag")
-_ENTRY = ("value", "unit", "sd", "brief_sd", "source")
+_ENTRY = ("value", "unit", "sd", "brief_sd", "source", "prior")
+_PRIOR = ("value", "sd", "source")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A value with its standard deviation and where it comes from."""
+
+    value: float
+    sd: float
+    source: str = ""
 
 
 @dataclass(frozen=True)
 class Knowledge:
     """What is known of one value: its standard deviation (None: not stated) and where it comes from.
 
-    `brief_sd` is by how much a recording of `MotorFile.brief_s` leads away from its motor, see `make`.
+    `brief_sd` is by how much a recording of `MotorFile.brief_s` leads away from its motor, see `make`. `prior` is what was
+    stated before the value was fitted to recordings from which more may still be learnt.
     """
 
     sd: float | None = None
     source: str = ""
     brief_sd: float = 0.0
+    prior: Stated | None = None
 
 
 @dataclass(frozen=True)
@@ -212,6 +228,12 @@ def to_toml(file: MotorFile) -> str:
                 entry.pop("brief_sd", None)
             if known.source:
                 _update(entry, "source", known.source)
+            if known.prior is None:
+                entry.pop("prior", None)
+            else:
+                before = entry.setdefault("prior", tomlkit.inline_table())
+                for part, value in asdict(known.prior).items():
+                    _update(before, part, value)
     return tomlkit.dumps(document)
 
 
@@ -268,23 +290,35 @@ def _values(
         what = declared[name]
         entry = entry if isinstance(entry, Mapping) else {"value": entry}
         _known(entry, _ENTRY, where, f"{section}.{name}")
-        value = entry.get("value")
-        if not _number(value):
-            raise ModelError(f"{where}: [{section}] {name} has no number as its value but {value!r}")
         if entry.get("unit", what.unit) != what.unit:
             raise ModelError(f"{where}: [{section}] {name} is in {entry['unit']!r}, expected {what.unit!r}")
-        if not what.bounds[0] <= value <= what.bounds[1]:
-            low, high = what.bounds
-            raise ModelError(
-                f"{where}: [{section}] {name} = {value:g} is outside {low:g} to {high:g} {what.unit}"
-            )
         here = f"{where}: [{section}]"
+        values[name] = _value(entry, what, here, name)
         sd = _not_negative(entry, "sd", here, what.unit, f" of {name}") if "sd" in entry else None
         brief_sd = _not_negative(entry, "brief_sd", here, what.unit, f" of {name}")
-        values[name] = float(value)
+        prior = _prior(entry, what, where, section, name) if "prior" in entry else None
         key = f"{owner}.{name}" if owner else name
-        known[key] = Knowledge(sd, str(entry.get("source", "")), brief_sd)
+        known[key] = Knowledge(sd, str(entry.get("source", "")), brief_sd, prior)
     return values
+
+
+def _prior(entry: Mapping[str, Any], what: Parameter, where: str, section: str, name: str) -> Stated:
+    before = _table(entry, "prior", f"{where}: [{section}] {name}")
+    _known(before, _PRIOR, where, f"{section}.{name}.prior")
+    here, of = f"{where}: [{section}]", f"the prior of {name}"
+    if "sd" not in before:
+        raise ModelError(f"{here} {of} has no sd")
+    sd = _not_negative(before, "sd", here, what.unit, f" of {of}")
+    return Stated(_value(before, what, here, of), sd, str(before.get("source", "")))
+
+
+def _value(entry: Mapping[str, Any], what: Parameter, here: str, name: str) -> float:
+    value, (low, high) = entry.get("value"), what.bounds
+    if not _number(value):
+        raise ModelError(f"{here} {name} has no number as its value but {value!r}")
+    if not low <= value <= high:
+        raise ModelError(f"{here} {name} = {value:g} is outside {low:g} to {high:g} {what.unit}")
+    return float(value)
 
 
 def _not_negative(table: Mapping[str, Any], key: str, where: str, unit: str, of: str = "") -> float:

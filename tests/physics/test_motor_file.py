@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import (
     Knowledge,
     MotorFile,
+    Stated,
     parse_override,
     read_motor_file,
     to_toml,
@@ -53,6 +55,17 @@ def test_a_change_keeps_comments_order_and_spelling(tmp_path):
     changed = [k for k, (a, b) in enumerate(zip(written, old, strict=True)) if a != b]
     assert len(changed) == 1 and "3.61" in written[changed[0]] and "bench.csv" in written[changed[0]]
     assert "value = 18e3" in to_toml(file)
+
+
+def test_what_was_stated_before_a_fit_round_trips_and_goes_with_the_next_calibration(tmp_path):
+    before = Stated(3.5, 0.35, "published")
+    fitted = Knowledge(0.02, "fitted to bench.csv", prior=before)
+    again = read(to_toml(read_motor_file(PAPER).with_values({"R_a0": 3.61}, {"R_a0": fitted})), tmp_path)
+    assert again.knowledge["R_a0"] == fitted and again.motor.R_a0 == 3.61
+    # What was fitted is forgotten beside what was stated, whose width and bounds are its own.
+    assert base_prior(again, ()) == base_prior(read_motor_file(PAPER), ())
+    changed = again.with_values({}, {"R_a0": Knowledge(0.02, "calibrated on bench.csv")})
+    assert "prior" not in tomllib.loads(to_toml(changed))["parameters"]["R_a0"]
 
 
 def test_effects_and_sensors_are_added_and_removed(tmp_path):
@@ -128,6 +141,15 @@ MISTAKES = {
     "out of bounds": (TEXT.replace("value = 3.5,", "value = -3.5,"), "R_a0 = -3.5 is outside"),
     "not a number": (TEXT.replace("value = 3.5,", 'value = "3.5",'), "R_a0 has no number"),
     "nan": (TEXT.replace("value = 3.5,", "value = nan,"), "R_a0 has no number"),
+    "a prior without a deviation": (
+        TEXT.replace("sd = 0.35", "sd = 0.35, prior = { value = 3.5 }"),
+        "the prior of R_a0 has no sd",
+    ),
+    "a prior that is no table": (TEXT.replace("sd = 0.35", "sd = 0.35, prior = 3.5"), "prior is not a table"),
+    "a prior out of bounds": (
+        TEXT.replace("sd = 0.35", "sd = 0.35, prior = { value = -3.5, sd = 0.1 }"),
+        "the prior of R_a0 = -3.5 is outside",
+    ),
     "an unknown key of an entry": (TEXT.replace("sd = 0.35", "std = 0.35"), "did you mean 'sd'?"),
     "an unknown effect": (
         TEXT + "\n[effects.colomb_friction]\ntau_c = 0.3\n",

@@ -2,7 +2,7 @@
 
 One table and one rule for every command. A parameter with `sd = 0` is known exactly and is never fitted. A stated
 deviation counts as stated. A value without one, or one that was fitted while something was missing from the model, may be
-off by the share of it that the table says.
+off by the share of it that the table says; what was stated before such a fit still counts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 from motorlens_physics.estimate.forcing import SETTLED
 from motorlens_physics.estimate.model import Model, parts_of
 from motorlens_physics.estimate.run import FIRST, STATE_OF, Run
-from motorlens_physics.motor_file import Knowledge, MotorFile
+from motorlens_physics.motor_file import Knowledge, MotorFile, Stated
 
 # How far from an unsupported value in a motor file a parameter may reasonably be, relative (one standard deviation). A
 # motor file may be rough; copper is copper.
@@ -83,15 +83,25 @@ def textbook_prior(file: MotorFile) -> Prior:
     """The textbook's parameters that are not known exactly."""
     values, prior = file.values(), NOTHING
     for key, relative in RELATIVE_SD.items():
-        meaning, known = file.meaning(key), file.knowledge.get(key, Knowledge())
+        meaning, known = file.meaning(key), stated(file, key)
+        if known is None:
+            size = max(abs(values[key]), 0.1 * meaning.typical(file.rated))
+            known = Stated(values[key], relative * size)
         if known.sd == 0:
             continue
-        size = max(abs(values[key]), 0.1 * meaning.typical(file.rated))
-        stated = known.sd is not None and not known.source.startswith(FITTED)
-        width = known.sd if stated and known.sd is not None else relative * size
-        bounds = (max(meaning.bounds[0], LEAST * values[key]), meaning.bounds[1])
-        prior = prior.joined(Prior({key: values[key]}, {key: width}, {key: bounds}))
+        bounds = (max(meaning.bounds[0], LEAST * known.value), meaning.bounds[1])
+        prior = prior.joined(Prior({key: known.value}, {key: known.sd}, {key: bounds}))
     return prior
+
+
+def stated(file: MotorFile, key: str) -> Stated | None:
+    """What a motor file states of a parameter, apart from what was fitted while something was missing; None if nothing."""
+    known = file.knowledge.get(key, Knowledge())
+    if known.prior is not None:
+        return known.prior
+    if known.sd is None or (known.sd > 0 and known.source.startswith(FITTED)):
+        return None
+    return Stated(file.values()[key], known.sd, known.source)
 
 
 def part_prior(file: MotorFile, name: str) -> Prior:
@@ -100,8 +110,8 @@ def part_prior(file: MotorFile, name: str) -> Prior:
     prior = NOTHING
     for parameter, meaning in part.parameters().items():
         key = f"{name}.{parameter}"
-        known = file.knowledge.get(key, Knowledge())
-        if meaning.fixed or known.sd == 0:
+        known = stated(file, key)
+        if meaning.fixed or (known is not None and known.sd == 0):
             continue
         typical = meaning.typical(file.rated)
         # The switch is free; a shape is known within a factor of a few.
@@ -110,8 +120,8 @@ def part_prior(file: MotorFile, name: str) -> Prior:
         else:
             centre = getattr(part, parameter)
             width = max(abs(centre), meaning.sd(file.rated))
-        if known.sd is not None and not known.source.startswith(FITTED):
-            centre, width = getattr(part, parameter), known.sd
+        if known is not None:
+            centre, width = known.value, known.sd
         low, high = meaning.bounds
         if meaning.role == "width":
             low = max(low, SHARPEST * typical)
