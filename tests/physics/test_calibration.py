@@ -14,7 +14,7 @@ from motorlens_physics.effects.stribeck_friction import StribeckFriction
 from motorlens_physics.estimate.calibrate import Calibration, calibrate
 from motorlens_physics.estimate.report import _confounded
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file, write_motor_file
+from motorlens_physics.motor_file import Knowledge, MotorFile, Stated, read_motor_file, write_motor_file
 from motorlens_physics.parameter import Rated, parameters
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensors.gain import SensorGain
@@ -97,6 +97,42 @@ def test_channels_weigh_themselves(fleet: list[tuple[Calibration, MotorFile]]) -
             assert sizes == pytest.approx(NOISE, rel=0.08)
         for residuals in found.residuals:
             assert np.std(residuals["speed"]) == pytest.approx(0.5, rel=0.08)
+
+
+def test_a_recording_counts_once_however_often_it_is_calibrated_on(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    keys = ("R_a0", "L", "ke", "J", "b")
+    truth = replace(Motor(), **{key: getattr(Motor(), key) * rng.uniform(0.7, 1.3) for key in keys})
+    first, second = (
+        record(truth, rng, dt=2e-3, samples=1500, hold=100, name=name) for name in ("a.csv", "b.csv")
+    )
+    file = MotorFile("plate", Motor(), PLATE, knowledge={"ke": Knowledge(0.3, "rating plate")})
+
+    def calibrated(before: MotorFile, recording: Recording) -> Calibration:
+        found = calibrate(before, [recording], keys, held=True)
+        write_motor_file(found.file, tmp_path / "motor.toml")
+        return replace(found, file=read_motor_file(tmp_path / "motor.toml"))
+
+    once = calibrated(file, first)
+    twice = calibrated(once.file, first)
+    assert not once.findings.once
+    (said,) = twice.findings.once
+    assert said.startswith("R_a0, L, ke, J, b: the motor file learnt them")
+    for key in keys:
+        assert twice.value[key] == pytest.approx(once.value[key], abs=0.05 * once.sd[key])
+        assert twice.sd[key] == pytest.approx(once.sd[key], rel=0.02)
+    # Another recording, of other steps, adds to what the first told: about half of the variance is left.
+    both = calibrated(twice.file, second)
+    assert not both.findings.once
+    for key in keys:
+        assert 0.4 < both.sd[key] / once.sd[key] < 0.9
+        assert abs(both.value[key] - getattr(truth, key)) < 4 * both.sd[key]
+    known = both.file.knowledge["ke"]
+    assert known.source == "calibrated on a.csv, b.csv"
+    assert known.prior == Stated(Motor().ke, 0.3, "rating plate")
+    # With the first it begins anew.
+    again = calibrated(both.file, first)
+    assert again.sd["R_a0"] == pytest.approx(once.sd["R_a0"], rel=0.02)
 
 
 def test_the_file_says_what_was_found(fleet: list[tuple[Calibration, MotorFile]], tmp_path: Path) -> None:

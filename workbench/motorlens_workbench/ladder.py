@@ -10,7 +10,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
-from motorlens_physics.estimate.prior import base_prior, nuisance_prior, stated
+from motorlens_physics.estimate.prior import FITTED, base_prior, nuisance_prior, stated
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
@@ -197,14 +197,15 @@ def _described(
     fitted_to: Sequence[Recording],
     differing: Sequence[str],
 ) -> Rung:
-    source = "fitted to " + ", ".join(recording.name for recording in fitted_to or ())
+    source = FITTED + ", ".join(recording.name for recording in fitted_to)
+    names = frozenset(run.name for run in fitted.runs)
     spread = dict(
         zip(fitted.prior.keys, np.sqrt(np.maximum(np.diagonal(fitted.covariance), 0)).tolist(), strict=True)
     )
     file, known = fitted.model.file, {}
     for key in file.values():
         if key in spread:
-            before = stated(file, key)
+            before = stated(file, key, names)
             # Of the file that was fitted; its values have moved.
             kept = before and replace(before, value=fitted.prior.centre[key])
             known[key] = Knowledge(spread[key], source, prior=kept)

@@ -270,7 +270,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         said.append(
             f"These recordings do not tell {', '.join(told.untold)}: nothing but what was known before stands behind them."
         )
-    return [*said, *told.confounded, *told.at_bound.values(), *told.far.values()]
+    return [*said, *told.once, *told.confounded, *told.at_bound.values(), *told.far.values()]
 
 
 def _as_fit(found: Finding) -> Fit:

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.delays import Delay, delays_of
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.prior import Prior, around, base_prior
+from motorlens_physics.estimate.prior import (
+    CALIBRATED,
+    Prior,
+    around,
+    base_prior,
+    calibrated_on,
+    stated,
+)
 from motorlens_physics.estimate.report import Findings, correlation, findings
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.estimate.weighed import CHANCE
@@ -187,8 +194,17 @@ def calibrate(
         raise DataError(f"{names}: nothing can be told; the recordings leave every parameter where it was")
     value, sd = believed(known_before, away, said.value, said.sd)
     said = replace(said, value=value, sd=sd)
-    known = {key: Knowledge(sd[key], f"calibrated on {names}") for key in said.told}
+    known = {key: _learnt(known_before, key, sd[key], recordings) for key in said.told}
     return Calibration(found, said, known_before.with_values({key: value[key] for key in said.told}, known))
+
+
+def _learnt(file: MotorFile, key: str, sd: float, recordings: Sequence[Recording]) -> Knowledge:
+    """What is known of a parameter of a motor file after it was calibrated, and was before any of the recordings."""
+    before = stated(file, key, frozenset(recording.name for recording in recordings))
+    # What was learnt from other recordings is in it as well: all are named, and what was stated before all of them is kept.
+    names = dict.fromkeys((*calibrated_on(before), *(recording.name for recording in recordings)))
+    prior = file.knowledge[key].prior if calibrated_on(before) else before
+    return Knowledge(sd, CALIBRATED + ", ".join(names), prior=prior)
 
 
 def chosen(file: MotorFile, prior: Prior, keys: Sequence[str] | None) -> Prior:

@@ -2,10 +2,11 @@
 
 One table and one rule for every command. A parameter with `sd = 0` is known exactly and is never fitted. A stated
 deviation counts as stated. A value without one, or one that was fitted while something was missing from the model, may be
-off by the share of it that the table says; what was stated before such a fit still counts.
+off by the share of it that the table says. What a file learnt from a recording does not count beside that recording, which
+would be counted twice; what was stated before does.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,9 @@ RELATIVE_SD = {
     "R_a0": 0.4, "L": 0.5, "ke": 0.4, "J": 0.5, "b": 1.0, "alpha": 0.1, "k0": 0.5, "kT": 1.0, "k_ir": 1.0, "H": 0.5,
 }  # fmt: skip
 # A source that begins so was fitted while an effect was missing, and moves when the effect is added.
-FITTED = "fitted to"
+FITTED = "fitted to "
+# A source that begins so names the recordings that the value was learnt from.
+CALIBRATED = "calibrated on "
 # A share of the value in the motor file below which no textbook parameter may fall: none is 20 times off.
 LEAST = 0.05
 # A width is no less than this share of what it typically is: what is sharper acts as that does, and a fit has nothing to go
@@ -73,17 +76,18 @@ NOTHING = Prior({}, {}, {})
 
 def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
     """All that may be fitted: the textbook's parameters, those of effects and sensors, the nuisances of each run."""
-    prior = textbook_prior(file)
+    names = frozenset(run.name for run in runs)
+    prior = textbook_prior(file, names)
     for part in parts_of(file):
-        prior = prior.joined(part_prior(file, part.name()))
+        prior = prior.joined(part_prior(file, part.name(), names))
     return prior.joined(nuisance_prior(file, runs))
 
 
-def textbook_prior(file: MotorFile) -> Prior:
-    """The textbook's parameters that are not known exactly."""
+def textbook_prior(file: MotorFile, recordings: Set[str] = frozenset()) -> Prior:
+    """The textbook's parameters that are not known exactly, beside recordings of these names."""
     values, prior = file.values(), NOTHING
     for key, relative in RELATIVE_SD.items():
-        meaning, known = file.meaning(key), stated(file, key)
+        meaning, known = file.meaning(key), stated(file, key, recordings)
         if known is None:
             size = max(abs(values[key]), 0.1 * meaning.typical(file.rated))
             known = Stated(values[key], relative * size)
@@ -94,23 +98,43 @@ def textbook_prior(file: MotorFile) -> Prior:
     return prior
 
 
-def stated(file: MotorFile, key: str) -> Stated | None:
-    """What a motor file states of a parameter, apart from what was fitted while something was missing; None if nothing."""
+def stated(file: MotorFile, key: str, recordings: Set[str] = frozenset()) -> Stated | None:
+    """What a motor file states of a parameter beside recordings of these names, from which none of it was learnt.
+
+    None if it states nothing.
+    """
     known = file.knowledge.get(key, Knowledge())
-    if known.prior is not None:
+    if known.sd is None:
         return known.prior
-    if known.sd is None or (known.sd > 0 and known.source.startswith(FITTED)):
-        return None
-    return Stated(file.values()[key], known.sd, known.source)
+    now = Stated(file.values()[key], known.sd, known.source)
+    return next((one for one in (now, known.prior) if one and not _learnt(one, recordings)), None)
 
 
-def part_prior(file: MotorFile, name: str) -> Prior:
-    """The free parameters of an effect or a sensor model of the file: wide around their value, within their bounds."""
+def calibrated_on(one: Stated | None) -> tuple[str, ...]:
+    """The recordings that something stated was learnt from, by name."""
+    if one is None or not one.source.startswith(CALIBRATED):
+        return ()
+    return tuple(one.source.removeprefix(CALIBRATED).split(", "))
+
+
+def _learnt(one: Stated, recordings: Set[str]) -> bool:
+    """Whether it was learnt from one of these recordings, or while something was missing; not what is known exactly."""
+    return one.sd > 0 and (one.source.startswith(FITTED) or not recordings.isdisjoint(calibrated_on(one)))
+
+
+def part_prior(file: MotorFile, name: str, recordings: Set[str] = frozenset()) -> Prior:
+    """The free parameters of an effect or a sensor model of the file: wide around their value, within their bounds.
+
+    Args:
+        file: the motor file.
+        name: of the effect or sensor model.
+        recordings: names of those that it is fitted to, see `stated`.
+    """
     part = next(part for part in parts_of(file) if part.name() == name)
     prior = NOTHING
     for parameter, meaning in part.parameters().items():
         key = f"{name}.{parameter}"
-        known = stated(file, key)
+        known = stated(file, key, recordings)
         if meaning.fixed or (known is not None and known.sd == 0):
             continue
         typical = meaning.typical(file.rated)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.fit import Fit, inverse
+from motorlens_physics.estimate.prior import CALIBRATED
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,7 @@ class Findings:
         confounded: sentences on parameters that are told only together.
         at_bound: key to a sentence: it ends at the edge of what is possible.
         far: key to a sentence: it is `FAR` or more deviations from the motor file.
+        once: a sentence on what the motor file learnt from these recordings, if anything.
     """
 
     keys: tuple[str, ...]
@@ -47,6 +49,7 @@ class Findings:
     confounded: tuple[str, ...]
     at_bound: Mapping[str, str]
     far: Mapping[str, str]
+    once: tuple[str, ...]
 
     @property
     def told(self) -> tuple[str, ...]:
@@ -56,7 +59,9 @@ class Findings:
     @property
     def sentences(self) -> tuple[str, ...]:
         """All that is to be said."""
-        return (*self.untold.values(), *self.confounded, *self.at_bound.values(), *self.far.values())
+        return (
+            *self.once, *self.untold.values(), *self.confounded, *self.at_bound.values(), *self.far.values()
+        )  # fmt: skip
 
 
 def findings(fit: Fit) -> Findings:
@@ -99,7 +104,20 @@ def findings(fit: Fit) -> Findings:
                 f"{key}: {value[key]:.4g}{unit} is {beyond:.0f} standard deviations from the motor file's "
                 f"{centre:.4g} +- {width:.2g}{unit}; one of the two is wrong"
             )
-    return Findings(keys, value, sd, untold, _confounded(fit, keys, untold), at_bound, far)
+    return Findings(keys, value, sd, untold, _confounded(fit, keys, untold), at_bound, far, _once(fit, keys))
+
+
+def _once(fit: Fit, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """That what was calibrated on these recordings does not count twice."""
+    known, width = fit.model.file.knowledge, fit.prior.sd
+    learnt = [key for key in keys if key in known and known[key].source.startswith(CALIBRATED)]
+    twice = [key for key in learnt if width[key] != known[key].sd]
+    if not twice:
+        return ()
+    return (
+        f"{', '.join(twice)}: the motor file learnt them from these recordings; what was known before counts here, "
+        "so that nothing counts twice",
+    )
 
 
 def correlation(fit: Fit, keys: tuple[str, ...]) -> Array:
