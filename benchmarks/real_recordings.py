@@ -8,7 +8,9 @@ repository: their sources are named in the README of that folder. Without the fo
 """
 
 import argparse
+import contextlib
 import gzip
+import io
 import json
 import sys
 import tempfile
@@ -34,11 +36,21 @@ def side(letter: str) -> list[str]:
     ]
 
 
+def quietly(words: Sequence[str]) -> int:
+    """The status of a command; what it says is printed where it fails."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        status = motorlens(list(words))
+    if status != 0:
+        print(said.getvalue(), end="", flush=True)
+    return status
+
+
 def diagnose(recordings: Sequence[Path], motor: Path, *options: str) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "answer.json"
         words = ["diagnose", *map(str, recordings), "--motor", str(motor), *options, "--json", str(path)]
-        status = motorlens(words)
+        status = quietly(words)
         return (
             json.loads(path.read_text()) if status == 0 else {"verdict": f"status {status}", "sentence": ""}
         )
@@ -62,7 +74,7 @@ def add(
                 "--judge",
                 *map(str, judge),
             ]
-            status = motorlens([*words, *options, "-o", str(better), "--json", str(path)])
+            status = quietly([*words, *options, "-o", str(better), "--json", str(path)])
             rungs = json.loads(path.read_text())["ladder"] if path.exists() else rungs
             if status != 0:
                 break
@@ -140,7 +152,7 @@ def emps(folder: Path) -> None:
         for effect in ("coulomb_friction", "constant_torque"):
             models.append(Path(place) / f"{effect}.toml")
             words = ["--motor", str(models[-2]), "--fit", str(half), "-o", str(models[-1])]
-            if motorlens(["add", effect, *words]) != 0:
+            if quietly(["add", effect, *words]) != 0:
                 print(f"emps, the first half alone does not support {effect}", flush=True)
                 models.pop()
                 break
