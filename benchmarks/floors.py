@@ -96,9 +96,9 @@ def every_command(count: int) -> None:
     for seed in range(count):
         file, recording, _ = drawn(seed, HIDDEN)
         found = diagnose(file, [recording])
-        with_it = add(file, "coulomb_friction", [recording], [recording])
+        with_it = add(file, ["coulomb_friction"], [recording], [recording])
         last = with_it.rungs[-1]
-        without = remove(last.file, "coulomb_friction", [recording])
+        without = remove(last.file, ["coulomb_friction"], [recording])
         here = compare(last.file, [recording])
         judged = max(judged, *(abs(last.judged[name] / c.rmse - 1) for name, c in here.channels.items()))
         floors = {

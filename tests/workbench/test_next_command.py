@@ -18,21 +18,22 @@ DOCUMENT = {
         "current",
         "--driven",
     ],
-    "groups": [["dead_current_sensor"], ["stribeck_friction", "coulomb_friction"]],
+    "groups": [["dead_current_sensor"], ["stribeck_friction", "coulomb_friction"], ["dead_time"]],
     "candidates": [
         {"name": "dead_current_sensor", "gain": 0.0, "probability": 1.0},
         {"name": "stribeck_friction", "gain": 41.0, "probability": 0.1},
         {"name": "coulomb_friction", "gain": 40.0, "probability": 0.9},
+        {"name": "dead_time", "gain": 9.0, "probability": 1.0},
     ],
 }
 
 
-def test_it_is_understood_by_add_and_names_the_likeliest_that_can_be_added():
+def test_it_is_understood_by_add_and_names_the_likeliest_of_each_group_that_can_be_added():
     words = shlex.split(next_command(DOCUMENT))
     parser = argparse.ArgumentParser()
     add.add_arguments(parser)
     given = parser.parse_args(words[2:])
-    assert words[:2] == ["motorlens", "add"] and given.effect == "coulomb_friction"
+    assert words[:2] == ["motorlens", "add"] and given.effect == ["coulomb_friction", "dead_time"]
     assert given.motor == "my motor.toml" and given.fit == ["run 1.csv", "run2.csv"]
     assert given.column == ["voltage=duty*supply [V]"] and given.range == ["2:8.5"]
     assert given.terminal == "current" and given.driven

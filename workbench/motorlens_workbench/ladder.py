@@ -1,4 +1,4 @@
-"""Adding an effect to a motor file, and the ladder of held-out error that shows what each effect so far was worth."""
+"""Adding effects to a motor file, and the ladder of held-out error that shows what each effect so far was worth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +21,7 @@ from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors
 from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
 from motorlens_workbench.fitted import Fitted
+from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.refit import settled, with_hypothesis
 from motorlens_workbench.standing import stand, under
@@ -49,9 +50,19 @@ class Rung:
 
 @dataclass(frozen=True)
 class Ladder:
-    """The rungs, the lowest first; what the noise alone would leave; whether the data support the last step, and why not."""
+    """What adding or removing did.
+
+    Attributes:
+        rungs: the lowest first.
+        new: how many of them are of this step.
+        noise_floor: RMSE of each channel that the noise alone would leave.
+        statistic: the least weight of what was added, beside all else.
+        supported: whether the data support the step.
+        why: if not.
+    """
 
     rungs: tuple[Rung, ...]
+    new: int
     noise_floor: Mapping[str, float]
     statistic: float
     supported: bool
@@ -60,18 +71,20 @@ class Ladder:
 
 def add(
     file: MotorFile,
-    name: str,
+    names: Sequence[str],
     recordings: Sequence[Recording],
     judge: Sequence[Recording] = (),
     own: Sequence[type[Effect]] = (),
     say: Progress = lambda text: None,
     differing: Sequence[str] = (),
 ) -> Ladder:
-    """Fit the motor file with an effect or a sensor fault added; refit everything.
+    """Fit the motor file with effects or sensor faults added, one after the other; refit everything.
+
+    Each is judged beside all others: of two that are missing, one alone may explain too little that agrees.
 
     Args:
         file: the motor as known.
-        name: what to add.
+        names: what to add.
         recordings: to fit to.
         judge: to judge by.
         own: effects from outside the catalogue.
@@ -79,78 +92,87 @@ def add(
         differing: parameters that each motor of `judge` has of its own, see `judged`.
 
     Raises:
-        DataError: the effect is in the file already, or there is none of that name for these recordings.
+        DataError: an effect is in the file already, is named twice, or there is none of that name for these recordings.
     """
-    if any(part.name() == name for part in parts_of(file)):
-        raise DataError(f"{name} is in the motor file already; --remove takes it out")
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise DataError(f"{name} is named twice")
+        if any(part.name() == name for part in parts_of(file)):
+            raise DataError(f"{name} is in the motor file already; --remove takes it out")
     runs = prepare_all(recordings, file)
     rungs = []
     lower = _stripped(file)
-    names = [part.name() for part in parts_of(file) if not _imposed(file, part.name())]
-    for k in range(len(names)):
-        say(f"fitting {'the textbook alone' if k == 0 else 'with ' + names[k - 1]}")
+    before = [part.name() for part in parts_of(file) if not _imposed(file, part.name())]
+    for k in range(len(before)):
+        say(f"fitting {'the textbook alone' if k == 0 else 'with ' + before[k - 1]}")
         rungs.append(
-            _rung(names[k - 1] if k else "", _with(lower, file, names[:k]), runs, judge, differing)[0]
+            _rung(before[k - 1] if k else "", _with(lower, file, before[:k]), runs, judge, differing)[0]
         )
     say("fitting the motor file as it is")
-    rung, base = _rung(names[-1] if names else "", file, runs, judge, differing)
+    rung, base = _rung(before[-1] if before else "", file, runs, judge, differing)
     rungs.append(rung)
-    say(f"weighing {name}")
-    here = stand(fitted_of(base), own)
-    seen = seen_named(here)
-    if name not in seen:
-        raise DataError(
-            f"{name}: no such effect or sensor fault for these recordings, or a copy of what base parameters do; "
-            f"known: {', '.join(sorted(seen))}"
-        )
-    say(f"fitting with {name}")
-    score = seen[name]
-    fitted, beside = under(here, [run.noise for run in here.fitted.runs if run.noise])
-    found = with_hypothesis(fitted, beside, score)
-    if found is None:
-        return Ladder(tuple(rungs), here.floor, score.weight, False, "no model with it could be simulated")
-    then = stand(settled(found), own)
-    held = own_score(then.book, then.fitted, score.entry.hypothesis)
-    weight = held.weight if held else 0.0
-    rungs.append(_described(name, then.fitted, then.book, then.lines, judge, recordings, differing))
-    before, after = rungs[-2].held_out, rungs[-1].held_out
+    say(f"weighing {' and '.join(names)}")
+    here = first = stand(fitted_of(base), own)
+    added: list[Hypothesis] = []
+    for k, name in enumerate(names):
+        score = seen_named(here).get(name)
+        if score is None:
+            raise DataError(
+                f"{name}: no such effect or sensor fault for these recordings, or a copy of what base parameters do; "
+                f"known: {', '.join(sorted(seen_named(here)))}"
+            )
+        say(f"fitting with {name}")
+        fitted, beside = under(here, [run.noise for run in here.fitted.runs if run.noise])
+        found = with_hypothesis(fitted, beside, score)
+        if found is None:
+            why = f"no model with {name} could be simulated"
+            return Ladder(tuple(rungs), k, here.floor, score.weight, False, why)
+        here = stand(settled(found), own)
+        added.append(score.entry.hypothesis)
+        rungs.append(_described(name, here.fitted, here.book, here.lines, judge, recordings, differing))
+    held = [own_score(here.book, here.fitted, hypothesis) for hypothesis in added]
+    weights = [one.weight if one else 0.0 for one in held]
+    bottom, top = rungs[-1 - len(names)].held_out, rungs[-1].held_out
     # Channels are traded by the logarithm of their error: what one loses, another must more than win.
-    better = sum(float(np.log(after[c] / before[c])) for c in after) < 0
-    needed, why = needed_weight(here, ()), ""
-    if weight < needed:
-        why = f"what it explains is within chance (weight {weight:.3g}, needed {needed:.3g})"
+    better = sum(float(np.log(top[c] / bottom[c])) for c in top) < 0
+    needed, why = needed_weight(first, ()), ""
+    if min(weights) < needed:
+        least = names[weights.index(min(weights))] + " " if len(names) > 1 else "it "
+        why = f"what {least.replace('_', ' ')}explains is within chance (weight {min(weights):.3g}, needed {needed:.3g})"
     elif not better:
         why = "the error on blocks held out does not fall"
-    return Ladder(tuple(rungs), then.floor, weight, not why, why)
+    return Ladder(tuple(rungs), len(names), here.floor, min(weights), not why, why)
 
 
 def remove(
     file: MotorFile,
-    name: str,
+    names: Sequence[str],
     recordings: Sequence[Recording],
     judge: Sequence[Recording] = (),
     say: Progress = lambda text: None,
     differing: Sequence[str] = (),
 ) -> Ladder:
-    """Fit the motor file without an effect or sensor model.
+    """Fit the motor file without some effects or sensor models.
 
     Raises:
-        DataError: the file has it not.
+        DataError: the file has one of them not.
     """
-    if not any(part.name() == name for part in parts_of(file)):
-        raise DataError(f"{name} is not in the motor file")
+    for name in names:
+        if not any(part.name() == name for part in parts_of(file)):
+            raise DataError(f"{name} is not in the motor file")
     runs = prepare_all(recordings, file)
     say("fitting the motor file as it is")
-    with_it, better = _rung(name, file, runs, judge, differing)
+    with_it, better = _rung(" and ".join(names), file, runs, judge, differing)
+    effects = tuple(effect for effect in file.motor.effects if effect.name() not in names)
     without = replace(
         file,
-        motor=file.motor.without_effect(name),
-        sensors=tuple(sensor for sensor in file.sensors if sensor.name() != name),
+        motor=replace(file.motor, effects=effects),
+        sensors=tuple(sensor for sensor in file.sensors if sensor.name() not in names),
     )
-    say(f"fitting without {name}")
-    rung, _ = _rung(f"without {name}", without, runs, judge, differing)
+    say(f"fitting without {' and '.join(names)}")
+    rung, _ = _rung(f"without {' and '.join(names)}", without, runs, judge, differing)
     # The floor is that of the better model: what the other lacks is no noise.
-    return Ladder((with_it, rung), stand(fitted_of(better)).floor, 0.0, True, "")
+    return Ladder((with_it, rung), 1, stand(fitted_of(better)).floor, 0.0, True, "")
 
 
 def _imposed(file: MotorFile, name: str) -> bool:

@@ -1,11 +1,12 @@
-"""Add an effect to a motor file, everything refitted, and show what it was worth.
+"""Add effects to a motor file, everything refitted, and show what each was worth.
 
 example:
   motorlens add coulomb_friction --motor motor.toml --fit bench1.csv bench2.csv --judge bench3.csv -o better.toml
+  motorlens add coulomb_friction brush_voltage_drop --motor motor.toml --fit bench1.csv -o better.toml
 
 The ladder shows the error on blocks of time held out (and on the recordings of --judge, run freely) for the textbook alone
-and for each effect so far. An effect that the data do not support is not written, unless --force is given: exit status 1.
-`--remove` takes an effect out again. The old file is kept.
+and for each effect so far. Of several, each is judged beside the others. What the data do not support is not written, unless
+--force is given: exit status 1. `--remove` takes effects out again. The old file is kept.
 """
 
 import argparse
@@ -18,7 +19,9 @@ from motorlens_workbench.telling import add_page_arguments, teller
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("effect", metavar="EFFECT", help="name of an effect or sensor fault of the catalogue")
+    parser.add_argument(
+        "effect", nargs="+", metavar="EFFECT", help="names of effects or sensor faults of the catalogue"
+    )
     add_input_arguments(parser)
     parser.add_argument("--fit", nargs="+", required=True, metavar="REC", help="recordings to fit to")
     parser.add_argument(
@@ -33,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "time held out",
     )
     parser.add_argument("-o", "--output", required=True, metavar="NEW.toml", help="the new motor file")
-    parser.add_argument("--remove", action="store_true", help="take the effect out instead")
+    parser.add_argument("--remove", action="store_true", help="take them out instead")
     parser.add_argument(
         "--force", action="store_true", help="write the file even if the data do not support it"
     )
@@ -71,14 +74,14 @@ def run(arguments: argparse.Namespace) -> int:
         found = ladders.remove(file, arguments.effect, fitted, judge, say, arguments.differing)
     else:
         found = ladders.add(file, arguments.effect, fitted, judge, given.effects, say, arguments.differing)
-    written = found.supported or (arguments.force and found.rungs[-1].added == arguments.effect)
+    written = found.supported or (arguments.force and found.rungs[-1].added == arguments.effect[-1])
     document = to_json(found, arguments.effect, arguments.motor, arguments.output if written else None)
     if written:
         better = found.rungs[-1].file
         write_motor_file(freed(better, plain) if arguments.driven else better, arguments.output)
     write_json(document, arguments.json)
     if arguments.html:
-        words = ["motorlens", "add", arguments.effect, *input_words(arguments), "--fit", *arguments.fit]
+        words = ["motorlens", "add", *arguments.effect, *input_words(arguments), "--fit", *arguments.fit]
         words += ["--judge", *arguments.judge] if arguments.judge else []
         words += ["--differing", *arguments.differing] if arguments.differing else []
         words += ["--driven"] if arguments.driven else []

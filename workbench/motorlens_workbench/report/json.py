@@ -259,18 +259,26 @@ def to_text(document: Mapping[str, Any]) -> str:
 
 
 def next_command(document: Mapping[str, Any]) -> str:
-    """The command that adds the likeliest of what was named; empty where that is nothing but a channel that is dead."""
+    """The command that adds the likeliest of each group; empty where that is nothing but a channel that is dead."""
     listed = {entry["name"]: entry for entry in document["candidates"]}
     # The name in front of a group stands for all that the recordings cannot tell from it, and may be the less likely.
     addable = [
         [name for name in group if name in listed and listed[name]["gain"] > 0]
         for group in document["groups"]
     ]
-    first = next((names for names in addable if names), None)
-    if first is None:
+    likeliest = [
+        max(names, key=lambda name: float(listed[name]["probability"])) for names in addable if names
+    ]
+    if not likeliest:
         return ""
-    likeliest = max(first, key=lambda name: float(listed[name]["probability"]))
-    words = ["motorlens", "add", likeliest, "--motor", document["motor"], *document["options"]]
+    words = [
+        "motorlens",
+        "add",
+        *dict.fromkeys(likeliest),
+        "--motor",
+        document["motor"],
+        *document["options"],
+    ]
     # Of better.toml comes better2.toml: the old file is kept.
     before = re.fullmatch(r"better(\d*)\.toml", Path(document["motor"]).name)
     better = f"better{int(before[1] or 1) + 1}.toml" if before else "better.toml"

@@ -14,17 +14,19 @@ from motorlens_workbench.report.page import Page, Section, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Grid, Plot, Table
 
 
-def to_json(found: Ladder, effect: str, motor: str, written: str | None) -> dict[str, Any]:
+def to_json(found: Ladder, effects: Sequence[str], motor: str, written: str | None) -> dict[str, Any]:
     """The document; `written` is the new motor file, None if the data did not support it."""
     last = found.rungs[-1].file
     return {
         "schema": "motorlens.add/1",
-        "effect": effect,
+        "effect": " and ".join(effects),
+        "effects": list(effects),
         "motor": motor,
         "written": written,
         "supported": found.supported,
         "why_not": found.why,
         "statistic": found.statistic,
+        "new": found.new,
         "ladder": [
             {"added": rung.added, "held_out": dict(rung.held_out), "judged": dict(rung.judged)} for rung in found.rungs
         ],
@@ -51,7 +53,7 @@ def sentence(document: dict[str, Any]) -> str:
             else "; nothing was written"
         )
         return f"The data do not support {name}: {document['why_not']}{end}."
-    before, after = rungs[-2]["held_out"], rungs[-1]["held_out"]
+    before, after = rungs[-1 - document["new"]]["held_out"], rungs[-1]["held_out"]
     channel = max(after, key=lambda c: abs(math.log(max(after[c], 1e-300) / max(before[c], 1e-300))))
     change = 100 * (1 - after[channel] / max(before[channel], 1e-300))
     verb = "lower" if change >= 0 else "higher"
@@ -127,14 +129,15 @@ def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = (
 
 
 def before_and_after(found: Ladder, recordings: Sequence[Recording]) -> list[Plot]:
-    """Free runs of the last two models of the ladder beside each recording.
+    """Free runs of the models of the ladder before and after this step beside each recording.
 
     Raises:
         ModelError: one of them cannot be simulated on a recording.
     """
-    if len(found.rungs) < 2:
+    if not found.new:
         return []
-    files = {"before": ("lacking", found.rungs[-2].file), "after": ("predicted", found.rungs[-1].file)}
+    before, after = found.rungs[-1 - found.new].file, found.rungs[-1].file
+    files = {"before": ("lacking", before), "after": ("predicted", after)}
     plots = []
     for recording in recordings:
         predicted = {}
@@ -148,9 +151,9 @@ def before_and_after(found: Ladder, recordings: Sequence[Recording]) -> list[Plo
 def _risen(document: dict[str, Any]) -> list[str]:
     rungs = document["ladder"]
     # Without an effect the error rises, and nobody wonders.
-    if len(rungs) < 2 or rungs[-1]["added"].startswith("without"):
+    if not document["new"] or rungs[-1]["added"].startswith("without"):
         return []
-    return risen(rungs[-2]["held_out"], rungs[-1]["held_out"])
+    return risen(rungs[-1 - document["new"]]["held_out"], rungs[-1]["held_out"])
 
 
 def _label(added: str) -> str:
