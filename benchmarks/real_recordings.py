@@ -28,7 +28,8 @@ WHEEL = EXAMPLES / "hidden_effect" / "regbot.toml"
 MOTORS = EXAMPLES / "real_recordings"
 # Of EMPS, by its owners (README of the recordings); their friction turns at once.
 PUBLISHED = {
-    "J": 0.0951, "b": 0.2035, "coulomb_friction.tau_c": 0.0204, "coulomb_friction.w_s": 1e-3, "constant_torque.tau_0": -0.00316,
+    "J": 0.0951, "b": 0.2035, "coulomb_friction.tau_c": 0.0204, "coulomb_friction.w_s": 1e-3,
+    "constant_torque.tau_0": -0.00316,
 }  # fmt: skip
 
 
