@@ -1,12 +1,14 @@
 """What may hold a rotor at rest, hidden in recordings of another plant: names that no linear look shows as they are."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers.textbook import textbook_on
 
-from motorlens_workbench.contest.entering import enter_unseen
+from motorlens_workbench.contest import entering
+from motorlens_workbench.contest.entering import Step, enter_unseen
 from motorlens_workbench.contest.needed import beyond_chance, unseen
 
 STRIBECK = {"name": "stribeck_friction", "size": 0.0026, "shape": {"w_k": 15.1}}
@@ -48,3 +50,34 @@ def test_where_nothing_holds_the_rotor_nothing_wins_enough_and_all_is_refused(tm
     # A linear step from a model with friction may promise more than holds once it is fitted.
     assert not step.judged and set(said) <= {"fitting with stribeck friction"}
     assert not unseen(here, step.refused)
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(
+    ("likelier", "away", "goes_there"), [(3.0, 1.0, True), (3.0, 3.0, False), (-3.0, -3.0, True)]
+)
+def test_of_two_fits_of_a_model_that_stands_which_is_likelier_with_all_that_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, likelier: float, away: float, goes_there: bool
+) -> None:
+    """By Bayes: twice the logarithm of the likelihood, less the squares of what moved against what was known before."""
+    here = textbook_on(tmp_path, "servo_24V", [], "no_load_steps", 10.0)
+    stood = here.fitted
+    key = "R_a0"
+    values, sd = stood.model.values(), stood.prior.sd[key]
+
+    def known(deviations: float) -> entering.Fitted:
+        """The fit, as if a parameter were known to be so far from where it is."""
+        centre = {**stood.prior.centre, key: values[key] + deviations * sd}
+        return replace(stood, prior=replace(stood.prior, centre=centre))
+
+    start = 0.0 if away > 0 else 3.0
+    before, after = known(start), known(start + away)
+    assert after.pulled - before.pulled == pytest.approx((start + away) ** 2 - start**2)
+    score = here.scores[0]
+    monkeypatch.setattr(entering, "anew", lambda fitted: after)
+    monkeypatch.setattr(entering, "_unlikely", lambda here, fitted: here.unlikely - likelier)
+    judged = Step(replace(here, fitted=after), unlikely=here.unlikely - likelier)
+    monkeypatch.setattr(entering, "_judged", lambda here, one, start, own: judged)
+    step = entering._timed_anew(here, score, Step(replace(here, fitted=before), unlikely=here.unlikely), ())
+    assert step.standing is not None
+    assert (step.standing.fitted is after) is goes_there

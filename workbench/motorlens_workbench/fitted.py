@@ -34,6 +34,11 @@ class Fitted:
     cost: float
     covariance: Array
 
+    @property
+    def pulled(self) -> float:
+        """Squares of what moved against the priors, a part of the cost."""
+        return self.prior.penalty(self.model.values())
+
 
 @dataclass(frozen=True)
 class Challenger:
