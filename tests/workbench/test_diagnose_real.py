@@ -12,6 +12,7 @@ from motorlens_workbench.diagnose import diagnose
 from motorlens_workbench.driven import driven
 from motorlens_workbench.evidence.held_out import held_out
 from motorlens_workbench.report.json import least_text, to_json
+from motorlens_workbench.ladder import add
 from motorlens_workbench.verdict import settle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -76,6 +77,10 @@ def test_the_iron_of_a_thruster_warms_its_winding_late_and_no_sensor_is_blamed()
     first, last = found.outcome.first, found.outcome.last
     before, after = held_out(first.book, first.lines), held_out(last.book, last.lines)
     assert after["temperature"] < 0.25 * before["temperature"]
+    # What is named is supported when it is added, though far from null Wald's test alone says too little of it.
+    step = add(file, ["iron_core"], recordings)
+    assert step.supported, step.why
+    assert step.rungs[-1].held_out["temperature"] < 0.25 * step.rungs[0].held_out["temperature"]
 
 
 @needs_recordings

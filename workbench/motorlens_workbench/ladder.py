@@ -15,16 +15,15 @@ from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.contest.needed import needed_weight
-from motorlens_workbench.contest.worth import own_score
+from motorlens_workbench.contest.worth import worth
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors
 from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Fitted
-from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
-from motorlens_workbench.refit import settled, with_hypothesis
-from motorlens_workbench.standing import stand, under
+from motorlens_workbench.refit import settled, with_hypothesis, without_hypothesis
+from motorlens_workbench.standing import Standing, stand, under
 from motorlens_workbench.telling import Progress
 from motorlens_workbench.verdict import seen_named
 
@@ -113,7 +112,7 @@ def add(
     rungs.append(rung)
     say(f"weighing {' and '.join(names)}")
     here = first = stand(fitted_of(base), own)
-    added: list[Hypothesis] = []
+    added: list[Score] = []
     for k, name in enumerate(names):
         score = seen_named(here).get(name)
         if score is None:
@@ -128,20 +127,38 @@ def add(
             why = f"no model with {name} could be simulated"
             return Ladder(tuple(rungs), k, here.floor, score.weight, False, why)
         here = stand(settled(found), own)
-        added.append(score.entry.hypothesis)
+        added.append(score)
         rungs.append(_described(name, here.fitted, here.book, here.lines, judge, recordings, differing))
-    held = [own_score(here.book, here.fitted, hypothesis) for hypothesis in added]
-    weights = [one.weight if one else 0.0 for one in held]
+    say(f"judging {' and '.join(names)}")
+    told = [_beside_the_others(here, score, first if len(added) == 1 else None) for score in added]
+    least, (weight, needed) = min(zip(names, told, strict=True), key=lambda known: known[1][0] - known[1][1])
     bottom, top = rungs[-1 - len(names)].held_out, rungs[-1].held_out
     # Channels are traded by the logarithm of their error: what one loses, another must more than win.
     better = sum(float(np.log(top[c] / bottom[c])) for c in top) < 0
-    needed, why = needed_weight(first, ()), ""
-    if min(weights) < needed:
-        least = names[weights.index(min(weights))] + " " if len(names) > 1 else "it "
-        why = f"what {least.replace('_', ' ')}explains is within chance (weight {min(weights):.3g}, needed {needed:.3g})"
+    why = ""
+    if weight < needed:
+        what = least.replace("_", " ") if len(names) > 1 else "it"
+        why = f"what {what} explains is within chance (weight {weight:.3g}, needed {needed:.3g})"
     elif not better:
         why = "the error on blocks held out does not fall"
-    return Ladder(tuple(rungs), len(names), here.floor, min(weights), not why, why)
+    return Ladder(tuple(rungs), len(names), here.floor, weight, not why, why)
+
+
+def _beside_the_others(then: Standing, score: Score, lacking: Standing | None) -> tuple[float, float]:
+    """How heavy a name is in a model that has it, and how heavy it must be, as a diagnosis judges it.
+
+    Args:
+        then: where the model stands that has all that was added.
+        score: of the name.
+        lacking: where the model without it stands; None is the same model with the name taken out.
+    """
+    if lacking is None:
+        without = without_hypothesis(then.fitted, score.name)
+        if without is None:
+            return 0.0, float("inf")
+        lacking = stand(settled(without), then.own)
+    told = worth(lacking, score, then.fitted)
+    return told.score.weight if told.score else 0.0, told.needed
 
 
 def remove(
