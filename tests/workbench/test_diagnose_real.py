@@ -11,8 +11,8 @@ from motorlens_physics.recording import read_recording
 from motorlens_workbench.diagnose import diagnose
 from motorlens_workbench.driven import driven
 from motorlens_workbench.evidence.held_out import held_out
-from motorlens_workbench.report.json import least_text, to_json
 from motorlens_workbench.ladder import add
+from motorlens_workbench.report.json import least_text, to_json
 from motorlens_workbench.verdict import settle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
