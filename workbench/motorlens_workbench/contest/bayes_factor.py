@@ -55,9 +55,15 @@ def log_occam_of(hypothesis: Hypothesis, fitted: Fitted) -> float:
     unit = np.array([abs(hypothesis.typical) if key == hypothesis.key else prior.sd[key] for key in keys])
     null = fitted.model.file.meaning(hypothesis.key).null or 0.0
     size = (values[hypothesis.key] - null) / hypothesis.typical
-    pulls = [(values[key] - prior.centre[key]) / prior.sd[key] for key in keys if key != hypothesis.key]
     information = inverse(fitted.covariance[np.ix_(at, at)] / np.outer(unit, unit)) / CRITERIA.tempered
-    return log_occam(np.array([size]), information) - 0.5 * float(np.sum(np.square(pulls)))
+    return log_occam(np.array([size]), information) + log_shape(hypothesis, fitted)
+
+
+def log_shape(hypothesis: Hypothesis, fitted: Fitted) -> float:
+    """How likely the shape of a name is beforehand, in a model that has it: a logarithm, nought for the likeliest shape."""
+    values, prior = fitted.model.values(), fitted.prior
+    shape = [key for key in prior.keys if key.startswith(f"{hypothesis.name}.") and key != hypothesis.key]
+    return -0.5 * sum(((values[key] - prior.centre[key]) / prior.sd[key]) ** 2 for key in shape)
 
 
 def likeliest(challengers: Sequence[Challenger]) -> Challenger:

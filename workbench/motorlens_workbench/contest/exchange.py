@@ -12,14 +12,15 @@ import numpy as np
 
 from motorlens_physics.effect import Effect
 from motorlens_runtime.errors import ModelError
+from motorlens_workbench.contest.bayes_factor import log_shape
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
-from motorlens_workbench.contest.worth import worth
+from motorlens_workbench.contest.worth import told_apart, worth
 from motorlens_workbench.evidence.ledger import Lens, ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, with_hypothesis, without_hypothesis
-from motorlens_workbench.standing import Standing, stand, unlikely_from
+from motorlens_workbench.standing import Standing, likelier_by_block, stand
 from motorlens_workbench.telling import Progress
 
 # Rivals that are fitted in the place of one name.
@@ -66,7 +67,12 @@ def _likelier(
     except ModelError:
         return here, replace(accepted, instead={**accepted.instead, name: -np.inf})
     likelier = 0.5 * (_odds(rivals, other, one) + _odds(rivals_of(there, new), other, one))
-    if likelier > 0 and unlikely_from(here, there.fitted) < here.unlikely:
+    won = likelier_by_block(here, there.fitted, here.fitted)
+    agreed = told_apart(won if likelier > 0 else -won)
+    # What recordings tell is worth no more than they agree on; how far either shape is from what it may be is known besides.
+    likelier = float(np.clip(likelier, -agreed, agreed))
+    likelier += log_shape(other, there.fitted) - log_shape(one, here.fitted)
+    if likelier > 0:
         return there, replace(new, instead={one.name: -likelier})
     return here, replace(accepted, instead={**accepted.instead, name: min(likelier, 0.0)})
 

@@ -110,6 +110,18 @@ def consistent(won: Array, rise: float) -> float:
     return min(*told, max(rise, 0.0))
 
 
+def told_apart(won: Array) -> float:
+    """By how much one of two models is likelier than the other, in a logarithm, as far as blocks of time agree on that.
+
+    Where nothing but noise tells them apart, each block wins some d^2, give or take 2 d, and all agree that it is half of
+    what is won: the squared ratio of `consistent` is a quarter of that.
+
+    Args:
+        won: (B,) by the one over the other, twice the logarithm of the likelihood.
+    """
+    return 2 * consistent(won, np.inf)
+
+
 @dataclass(frozen=True)
 class Worth:
     """What a name wins in a model that has it.
