@@ -10,17 +10,18 @@ from scipy.stats import gumbel_r
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.model import with_sensor
+from motorlens_physics.estimate.prior import part_prior
 from motorlens_physics.estimate.run import prepare_all
-from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.motor_file import read_motor_file, with_overrides
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import Inputs, simulate
 from motorlens_workbench.contest import contest as contest_module
 from motorlens_workbench.contest import worth
-from motorlens_workbench.contest.bayes_factor import log_bayes_factor
+from motorlens_workbench.contest.bayes_factor import log_bayes_factor, log_shape
 from motorlens_workbench.contest.entering import Step
 from motorlens_workbench.contest.needed import needed_weight
-from motorlens_workbench.contest.worth import consistent, held_score
+from motorlens_workbench.contest.worth import consistent, held_score, told_apart
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.null import Null
 from motorlens_workbench.hypotheses.line import Line
@@ -165,6 +166,33 @@ def test_a_win_is_as_consistent_as_blocks_of_time_agree_on_it():
     assert consistent(won, 1e9) == pytest.approx(min(ratios))
     assert consistent(won, 5.0) == 5.0, "never more than the likelihood rises"
     assert consistent(-won, 1e9) == 0.0
+
+
+def test_what_noise_alone_tells_apart_counts_as_its_likelihood_does_and_one_block_counts_for_little():
+    """Errors of unit variance beside shifts of a deviation: each block's likelihood ratio in closed form."""
+    rng = np.random.default_rng(8)
+    shift = 0.5
+    counted, whole = [], []
+    for _ in range(200):
+        errors = shift + rng.standard_normal((64, 4))
+        won = np.sum(errors**2 - (errors - shift) ** 2, axis=1)
+        counted.append(told_apart(won))
+        whole.append(0.5 * won.sum())
+    assert 0.8 < np.mean(counted) / np.mean(whole) <= 1.0, "the least of three ratios is no larger"
+    # All of it in one block of 64, however much: the squared ratio is 1, that of pairs and fours a little less.
+    for much in (10.0, 1000.0):
+        assert told_apart(np.r_[much, np.zeros(63)]) == pytest.approx(2.0, rel=0.01)
+    assert told_apart(np.r_[-1000.0, np.zeros(63)]) == 0.0
+
+
+def test_a_shape_is_as_likely_beforehand_as_its_parameters_are():
+    file = with_overrides(read_motor_file("mellah2016"), {"dead_time.V_dt": 1.0})
+    prior = part_prior(file, "dead_time")
+    moved = {"dead_time.i_r": 2.0, "dead_time.m": -1.0}
+    file = file.with_values({key: prior.centre[key] + n * prior.sd[key] for key, n in moved.items()})
+    fitted = SimpleNamespace(model=SimpleNamespace(values=file.values), prior=prior)
+    one = SimpleNamespace(name="dead_time", key="dead_time.V_dt")
+    assert log_shape(one, fitted) == pytest.approx(-0.5 * (2.0**2 + 1.0**2))  # type: ignore[arg-type]
 
 
 def test_chance_wins_no_more_often_than_its_level():

@@ -57,31 +57,41 @@ def test_what_was_put_in_stays_and_nothing_is_counted_against_it_that_is_less_li
     assert set(other.instead) <= ALIKE, "nothing else seems likelier, so nothing else was fitted"
 
 
+# Twice the logarithm by which each of 64 blocks of time is likelier with the rival: all alike; all of it in one block.
+AGREED = 0.5 + 0.2 * np.random.default_rng(2).standard_normal(64)
+ONE_BLOCK = np.r_[32.0, np.zeros(63)]
+
+
 @pytest.mark.parametrize(
-    ("there", "back", "unlikely", "stands", "instead"),
+    ("there", "back", "won", "shape", "stands", "instead"),
     [
-        (True, 0.9, -20.0, "rival", {"name": -0.5 * np.log(4.0 * 9.0)}),
-        (True, 0.9, -5.0, "name", {"rival": 0.0}),
-        (True, 0.01, -20.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
-        (False, 0.9, -20.0, "name", {"rival": -np.inf}),
+        (True, 0.9, AGREED, 0.0, "rival", {"name": -0.5 * np.log(4.0 * 9.0)}),
+        (True, 0.9, -AGREED, 0.0, "name", {"rival": 0.0}),
+        (True, 0.999, ONE_BLOCK, 0.0, "rival", {"name": -2.0}),
+        (True, 0.9, AGREED, -4.5, "name", {"rival": 0.5 * np.log(4.0 * 9.0) - 4.5}),
+        (True, 0.9, -AGREED, 1.0, "rival", {"name": -1.0}),
+        (True, 0.01, AGREED, 0.0, "name", {"rival": 0.0}),
+        (True, 0.01, -AGREED, 0.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
+        (False, 0.9, AGREED, 0.0, "name", {"rival": -np.inf}),
     ],
     ids=[
         "both say so",
         "but it leaves what is less likely",
-        "but its own model does not say so",
+        "one block of time says so",
+        "but its shape is three deviations from what it may be",
+        "its shape is likelier, and nothing else tells them apart",
+        "its own model does not say so, though it leaves what is likelier",
+        "nothing says so",
         "not beyond chance",
     ],
 )
-def test_a_rival_stands_if_both_models_say_so_and_what_it_leaves_is_likelier(
-    monkeypatch, there, back, unlikely, stands, instead
+def test_a_rival_stands_if_both_models_say_so_as_far_as_blocks_of_time_agree(
+    monkeypatch, there, back, won, shape, stands, instead
 ):
-    """Odds of four to one for the rival from here, of `back` to its rest from there; -10 is how unlikely the model is."""
+    """Odds of four to one for the rival from here, of `back` to its rest from there."""
 
     def accepted(name):
         return Accepted(SimpleNamespace(name=name), 1.0, 1.0, 1.0)  # type: ignore[arg-type]
-
-    def standing(value):
-        return SimpleNamespace(unlikely=value, fitted=SimpleNamespace(unlikely=value))
 
     def rivals_of(here, one):
         if one.hypothesis.name == "name":
@@ -98,14 +108,16 @@ def test_a_rival_stands_if_both_models_say_so_and_what_it_leaves_is_likelier(
     def in_its_place(here, one, other, own):
         if not there:
             raise ModelError("not beyond chance")
-        return standing(unlikely), accepted("rival")
+        return SimpleNamespace(fitted="rival"), accepted("rival")
 
     monkeypatch.setattr(exchange, "rivals_of", rivals_of)
     monkeypatch.setattr(exchange, "_in_its_place", in_its_place)
-    monkeypatch.setattr(exchange, "unlikely_from", lambda here, fitted: fitted.unlikely)
-    _, (one,) = exchanged(standing(-10.0), [accepted("name")], (), lambda text: None)  # type: ignore[arg-type]
+    monkeypatch.setattr(exchange, "likelier_by_block", lambda here, fitted, other: won)
+    monkeypatch.setattr(exchange, "log_shape", lambda one, fitted: shape if one.name == "rival" else 0.0)
+    here = SimpleNamespace(fitted="name")
+    _, (one,) = exchanged(here, [accepted("name")], (), lambda text: None)  # type: ignore[arg-type]
     assert one.hypothesis.name == stands
-    assert one.instead == pytest.approx(instead)
+    assert one.instead == pytest.approx(instead, rel=0.02)
 
 
 def test_what_could_stand_in_two_places_is_offered_where_it_is_likeliest():

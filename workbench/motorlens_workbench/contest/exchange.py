@@ -1,8 +1,8 @@
 """Whether a name that could stand in the place of one that has entered is likelier there, once it is fitted in full.
 
 What the linearised problem says of rivals is bent by the name that is in the model. So both are asked: how likely each is
-beside the other, seen from the model that has the one and from the model that has the other. And what stands in the end must
-leave what is likelier, as noise.
+beside the other, seen from the model that has the one and from the model that has the other. That counts as far as blocks of
+time agree on which of the two models leaves what is likelier, as noise; and the shape that each had to take counts besides.
 """
 
 from collections.abc import Sequence

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor
-from motorlens_workbench.contest.worth import own_score, told_apart
+from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score
@@ -49,8 +49,7 @@ def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
     null = file.meaning(key).null or 0.0
     size = (here.fitted.model.values()[key] - null) / prior.sd[key]
     others = [other for other in here.book.keys if not other.startswith(f"{name}.")]
-    beside = here.book.beside(others, {key: size})
-    scores = best_of(beside.scores(here.book.entries))
+    scores = best_of(here.book.scores(others, {key: size}))
     itself = own_score(here.book, here.fitted, accepted.hypothesis)
     if itself is None:
         return Rivals(name, {name: 1.0}, scores)
@@ -65,12 +64,6 @@ def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
         for other, score in scores.items()
         if score.entry.hypothesis.named and (other == name or log_bayes_factor(score, itself.scatter) > 0)
     }
-    # A rival is no less likely than as far as blocks of time agree on that.
-    won = beside.won(itself)
-    for other in weights:
-        if other != name:
-            agreed = told_apart(won - beside.won(scores[other]))
-            weights[other] = max(weights[other], weights[name] - agreed)
     for other, less in accepted.beside.items():
         weights[other] = max(weights.get(other, -np.inf), weights[name] + less)
     # What has been fitted there needs no linearisation.

@@ -156,12 +156,6 @@ class Beside:
             [inner, known[:, None]], axis=1
         )
 
-    def won(self, score: Score) -> Array:
-        """(B,) twice the rise of the logarithmic likelihood of each block by a shape at its best size."""
-        by_block, inner = (sums[0, :-1] for sums in self.projected([score.entry]))
-        size = score.coefficient
-        return np.asarray(2 * by_block @ size - np.einsum("i,bij,j->b", size, inner, size))
-
     @cached_property
     def _unexplained(self) -> Array:
         """(B, q) products of the parameters with what they leave of the error."""
