@@ -152,6 +152,17 @@ def test_the_four_steps_a_reload_in_the_middle_and_another_day(browser, folder, 
             "constant torque against the motion" in meaning.inner_text()
             and "tanh(w/w_s)" in meaning.inner_text()
         )
+        # Several are told with commas, each with its meaning, and one that is not there is said before anything runs.
+        effect = page.get_by_label("Effect or sensor fault")
+        effect.fill("coulomb_friction, quadratic drag")
+        assert "tanh(w/w_s)" in meaning.inner_text() and "Windage" in meaning.inner_text()
+        assert (
+            page.get_by_label("New motor file").input_value() == "motor_coulomb_friction_quadratic_drag.toml"
+        )
+        effect.fill("coulomb_friction, colomb")
+        page.get_by_role("button", name="Add", exact=True).click()
+        page.get_by_text("colomb is not in the catalogue").wait_for()
+        effect.fill("coulomb_friction")
         page.get_by_role("button", name="Add", exact=True).click()
         assert "written to motor_coulomb_friction.toml" in ended(page, "add")
         assert page.get_by_label("Motor file", exact=True).input_value() == "motor_coulomb_friction.toml"

@@ -24,15 +24,16 @@ async function start() {
     const typing = event.target.matches("input, textarea, select");
     if (!typing && !event.ctrlKey && !event.metaKey && !event.altKey && Number(event.key) >= 1 && Number(event.key) < TABS.length) open_(TABS[Number(event.key)], true);
   });
-  // What the user does next takes the place of what went wrong before.
-  for (const kind of ["click", "change", "submit"]) addEventListener(kind, event => { if (event.target.closest("button, input, select, form")) forget(); }, true);
+  // What the user does next takes the place of what went wrong before: as it is typed, for were it when a button is pressed, the
+  // button would move away under the pointer.
+  for (const kind of ["click", "input", "submit"]) addEventListener(kind, event => { if (event.target.closest("button, input, select, form")) forget(); }, true);
   addEventListener("popstate", () => open_(TABS.includes(location.hash.slice(1)) ? location.hash.slice(1) : "compare", false, true));
   for (const button of document.querySelectorAll("button.run:not([type=submit])")) button.onclick = () => take({kind: button.dataset.kind});
   $("add-form").onsubmit = event => {
     event.preventDefault();
-    const name = $("effect").value.trim().replaceAll(" ", "_");
-    if (catalogue.size && !catalogue.has(name)) return problem(`${name} is not in the catalogue; choose one of the list.`, "/steps");
-    return take(change("add", name, $("output").value.trim()));
+    const strange = named().find(name => !catalogue.has(name));
+    if (catalogue.size && strange) return problem(`${strange} is not in the catalogue; choose one of the list.`, "/steps");
+    return take(change("add", named().join(" "), $("output").value.trim()));
   };
   $("effect").oninput = () => { suggest(); explain(); };
   $("cancel").onclick = () => send("/cancel", {});
@@ -147,20 +148,26 @@ function free(name) {
   return found;
 }
 
+// The effects that are to be added, as the catalogue has them.
+function named() {
+  return $("effect").value.split(",").map(name => name.trim().replaceAll(" ", "_")).filter(name => name);
+}
+
 function suggest() {
-  const effect = $("effect").value.trim();
+  const effect = named().join("_");
   if ($("output").value && $("output").value !== outputSuggested) return; // the user's own
   outputSuggested = effect && Files.there ? free(`${stem()}_${effect}`) : "";
   $("output").value = outputSuggested;
 }
 
-// What the effect that is named means, and its equation.
+// What the effects that are named mean, and their equations.
 function explain() {
-  const effect = catalogue.get($("effect").value.trim());
   $("meaning").replaceChildren();
-  if (!effect) return;
-  put("span", $("meaning"), effect.summary);
-  effect.equations.forEach(line => { put("br", $("meaning")); put("code", $("meaning"), line); });
+  for (const effect of named().map(name => catalogue.get(name)).filter(effect => effect)) {
+    const place = put("div", $("meaning"));
+    put("span", place, effect.summary);
+    effect.equations.forEach(line => { put("br", place); put("code", place, line); });
+  }
 }
 
 function change(kind, effect, output) {

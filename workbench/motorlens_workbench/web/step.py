@@ -38,7 +38,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Order(Choice):
-    """What the page asks for. `effect`, `output` and `force` are for add and remove."""
+    """What the page asks for. `effect` (names, a blank between them), `output` and `force` are for add and remove."""
 
     kind: str = ""
     effect: str = ""
@@ -128,9 +128,10 @@ def words_of(order: Order, shelf: Shelf, effects_from: str | None = None) -> tup
             more += [f"--{flag}", word]
     if order.kind in ("compare", "diagnose"):
         return (order.kind, *recordings, "--motor", motor.name, *more)
-    if not _NAME.fullmatch(order.effect):
+    effects = order.effect.split(" ")
+    if not all(map(_NAME.fullmatch, effects)):
         raise DataError(f"{order.effect or 'no effect'}: choose an effect or sensor fault of the catalogue")
-    words = ["add", order.effect, "--motor", motor.name, "--fit", *recordings]
+    words = ["add", *effects, "--motor", motor.name, "--fit", *recordings]
     words += ["--judge", *judge] if judge else []
     words += ["--remove"] if order.kind == "remove" else []
     words += ["--force"] if order.force and order.kind == "add" else []
