@@ -294,7 +294,8 @@ def test_a_command_is_complete(tmp_path, monkeypatch):
         True, "open", "locked", "add", "radiation iron_core", "new.toml", True,
     )  # fmt: skip
     assert words_of(order, Shelf((), "."), "own.py") == (
-        "add", "radiation", "iron_core", "--motor", "./-motor.toml", "--fit", "a b.csv", "--judge", "c.csv", "--force", "-o", "new.toml",
+        "add", "radiation", "iron_core", "--motor", "./-motor.toml", "--fit", "a b.csv", "--judge", "c.csv", "--force",
+        "-o", "new.toml",
         "--column", "speed=w rad/s", "--range", "a b.csv=2:8.5", "--effects-from", "own.py", "--voltage-commanded",
         "--terminal", "open", "--shaft", "locked",
     )  # fmt: skip
