@@ -15,6 +15,7 @@ from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
+from motorlens_workbench.contest.entering import from_the_beginning
 from motorlens_workbench.contest.worth import worth
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors
@@ -126,7 +127,8 @@ def add(
         if found is None:
             why = f"no model with {name} could be simulated"
             return Ladder(tuple(rungs), k, here.floor, score.weight, False, why)
-        here = stand(settled(found), own)
+        end = settled(found)
+        here = stand(from_the_beginning(here, end) or end, own)
         added.append(score)
         rungs.append(_described(name, here.fitted, here.book, here.lines, judge, recordings, differing))
     say(f"judging {' and '.join(names)}")

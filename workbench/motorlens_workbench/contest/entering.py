@@ -231,22 +231,29 @@ def enter_anew(
 
 
 def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effect]]) -> Step:
-    """A step that led somewhere, or to where the motor is estimated from the beginning with it, if that is likelier.
-
-    What was missing may have passed for a delay, or for inputs that ran otherwise between their samples; or it has bent the
-    parameters to where another motor, unlike its file, does nearly as well. Which is likelier is asked of both as they are
-    known from the recordings and beforehand.
-    """
+    """A step that led somewhere, or to where the motor is estimated from the beginning with it, if that is likelier."""
     assert step.standing is not None
-    stood = step.standing.fitted
-    again = anew(stood)
-    if again is None or _unlikely(here, again) + again.pulled >= step.unlikely + stood.pulled:
+    again = from_the_beginning(here, step.standing.fitted)
+    if again is None:
         return step
     other = _judged(here, one, again, own)
     both = step.then(other)
     if other.standing is None:
         return both
     return replace(both, standing=other.standing, accepted=other.accepted, unlikely=other.unlikely)
+
+
+def from_the_beginning(here: Standing, fitted: Fitted) -> Fitted | None:
+    """A model estimated from the beginning, if that is likelier than where a refit has led; None if it is not.
+
+    What was missing may have passed for a delay, or for inputs that ran otherwise between their samples; or it has bent the
+    parameters to where another motor, unlike its file, does nearly as well. Which is likelier is asked of both as they are
+    known from the recordings and beforehand.
+    """
+    again = anew(fitted)
+    if again is None or _unlikely(here, again) + again.pulled >= _unlikely(here, fitted) + fitted.pulled:
+        return None
+    return again
 
 
 def _unlikely(here: Standing, fitted: Fitted) -> float:
