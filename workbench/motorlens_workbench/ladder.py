@@ -113,14 +113,11 @@ def add(
     rungs.append(rung)
     say(f"weighing {' and '.join(names)}")
     here = first = stand(fitted_of(base), own)
+    for name in names:
+        _seen(first, name)
     added: list[Score] = []
     for k, name in enumerate(names):
-        score = seen_named(here).get(name)
-        if score is None:
-            raise DataError(
-                f"{name}: no such effect or sensor fault for these recordings, or a copy of what base parameters do; "
-                f"known: {', '.join(sorted(seen_named(here)))}"
-            )
+        score = _seen(here, name)
         say(f"fitting with {name}")
         fitted, beside = under(here, [run.noise for run in here.fitted.runs if run.noise])
         found = with_hypothesis(fitted, beside, score)
@@ -144,6 +141,21 @@ def add(
     elif not better:
         why = "the error on blocks held out does not fall"
     return Ladder(tuple(rungs), len(names), here.floor, weight, not why, why)
+
+
+def _seen(here: Standing, name: str) -> Score:
+    """What a look at a model says of a name.
+
+    Raises:
+        DataError: nothing.
+    """
+    seen = seen_named(here)
+    if name not in seen:
+        raise DataError(
+            f"{name}: no such effect or sensor fault for these recordings, or a copy of what base parameters do; "
+            f"known: {', '.join(sorted(seen))}"
+        )
+    return seen[name]
 
 
 def _beside_the_others(then: Standing, score: Score, lacking: Standing | None) -> tuple[float, float]:
