@@ -16,7 +16,8 @@ from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.contest.entering import from_the_beginning
-from motorlens_workbench.contest.worth import worth
+from motorlens_workbench.contest.needed import needed_weight
+from motorlens_workbench.contest.worth import own_score, worth
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.held_out import held_out, held_out_errors
 from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
@@ -159,7 +160,10 @@ def _seen(here: Standing, name: str) -> Score:
 
 
 def _beside_the_others(then: Standing, score: Score, lacking: Standing | None) -> tuple[float, float]:
-    """How heavy a name is in a model that has it, and how heavy it must be, as a diagnosis judges it.
+    """How heavy a name is in a model that has it, and how heavy it must be.
+
+    As a diagnosis judges it, or by Wald's test beside the colour of the noise, if that says more: a diagnosis chooses among
+    hundreds, and takes the weaker of two ways to see the noise; here one was chosen.
 
     Args:
         then: where the model stands that has all that was added.
@@ -171,8 +175,10 @@ def _beside_the_others(then: Standing, score: Score, lacking: Standing | None) -
         if without is None:
             return 0.0, float("inf")
         lacking = stand(settled(without), then.own)
-    told = worth(lacking, score, then.fitted)
-    return told.score.weight if told.score else 0.0, told.needed
+    told, seen = worth(lacking, score, then.fitted), own_score(then.book, then.fitted, score.entry.hypothesis)
+    judged = told.score.weight if told.score else 0.0, told.needed
+    wald = seen.weight if seen else 0.0, needed_weight(lacking, ())
+    return max(judged, wald, key=lambda known: known[0] - known[1])
 
 
 def remove(
