@@ -65,6 +65,20 @@ def test_wheel_motors_in_one_call_lack_a_drop_and_a_friction(robots):
 
 @needs_recordings
 @pytest.mark.fit
+def test_an_engineer_adds_friction_and_then_a_drop_to_wheel_motors_and_the_error_falls():
+    """As examples/hidden_effect/README.md does; friction alone, without the drop, a diagnosis would not take."""
+    file = read_motor_file(EXAMPLES / "hidden_effect" / "regbot.toml")
+    recordings = [read_recording(regbot(robot), REGBOT_LEFT) for robot in (1, 4)]
+    for effect, least, most in (("coulomb_friction", 0.4, 0.6), ("brush_voltage_drop", 0.15, 0.35)):
+        step = add(file, [effect], recordings)
+        assert step.supported, step.why
+        before, after = (rung.held_out["speed"] for rung in step.rungs[-2:])
+        assert least < 1 - after / before < most
+        file = step.rungs[-1].file
+
+
+@needs_recordings
+@pytest.mark.fit
 def test_the_iron_of_a_thruster_warms_its_winding_late_and_no_sensor_is_blamed():
     """A brushless motor of 700 g with one thermocouple at its winding: its iron is no part of the textbook's winding."""
     thermal = FOLDER / "ksu_thermal"
