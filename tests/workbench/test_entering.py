@@ -10,6 +10,7 @@ from helpers.textbook import textbook_on
 from motorlens_workbench.contest import entering
 from motorlens_workbench.contest.entering import Step, enter_unseen
 from motorlens_workbench.contest.needed import beyond_chance, unseen
+from motorlens_workbench.standing import Standing
 
 STRIBECK = {"name": "stribeck_friction", "size": 0.0026, "shape": {"w_k": 15.1}}
 COGGING = {"name": "cogging_torque", "size": 0.0084, "shape": {"cog_N": 12.0, "cog_p": 1.9}}
@@ -39,10 +40,16 @@ def test_what_holds_a_rotor_is_known_once_it_is_fitted(
         assert found[f"{hidden['name']}.{key}"] == pytest.approx(true, rel=rel)
 
 
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Standing:
+    """The textbook where nothing is missing."""
+    return textbook_on(tmp_path_factory.mktemp("bare"), "servo_24V", [], "no_load_steps", 10.0)
+
+
 @pytest.mark.fit
-def test_where_nothing_holds_the_rotor_nothing_wins_enough_and_all_is_refused(tmp_path: Path) -> None:
+def test_where_nothing_holds_the_rotor_nothing_wins_enough_and_all_is_refused(bare: Standing) -> None:
     said: list[str] = []
-    here = textbook_on(tmp_path, "servo_24V", [], "no_load_steps", 10.0)
+    here = bare
     names = {one.name for one in unseen(here, [])}
     assert {"stribeck_friction", "coulomb_friction", "cogging_torque"} <= names
     step = enter_unseen(here, unseen(here, []), (), said.append)
@@ -57,12 +64,10 @@ def test_where_nothing_holds_the_rotor_nothing_wins_enough_and_all_is_refused(tm
     ("likelier", "away", "goes_there"), [(3.0, 1.0, True), (3.0, 3.0, False), (-3.0, -3.0, True)]
 )
 def test_of_two_fits_of_a_model_that_stands_which_is_likelier_with_all_that_is_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, likelier: float, away: float, goes_there: bool
+    bare: Standing, monkeypatch: pytest.MonkeyPatch, likelier: float, away: float, goes_there: bool
 ) -> None:
     """By Bayes: twice the logarithm of the likelihood, less the squares of what moved against what was known before."""
-    here = textbook_on(tmp_path, "servo_24V", [], "no_load_steps", 10.0)
-    stood = here.fitted
-    key = "R_a0"
+    here, stood, key = bare, bare.fitted, "R_a0"
     values, sd = stood.model.values(), stood.prior.sd[key]
 
     def known(deviations: float) -> entering.Fitted:

@@ -1,4 +1,4 @@
-"""Effects added one after the other: what was known of a motor before the first is known beside the last."""
+"""Effects added one after the other and at once: what was known of a motor before counts, and each is judged beside all."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -43,13 +43,21 @@ def recording() -> Recording:
     )
 
 
+@pytest.fixture(scope="module")
+def one_by_one(rough, recording, tmp_path_factory) -> list[MotorFile]:
+    """The motor files that adding one effect and then the other has written."""
+    path, files = tmp_path_factory.mktemp("ladder") / "motor.toml", [rough]
+    for key in SIZES:
+        write_motor_file(add(files[-1], [key.partition(".")[0]], [recording]).rungs[-1].file, path)
+        files.append(read_motor_file(path))
+    return files[1:]
+
+
 @pytest.mark.fit
-def test_what_a_file_states_is_kept_from_one_addition_to_the_next(rough, recording, tmp_path):
+def test_what_a_file_states_is_kept_from_one_addition_to_the_next(rough, one_by_one):
     """Voltage and speed alone tell a motor but for a factor of all torques, to which only what is stated of R_a0 holds."""
-    file, size = rough, KNOWN * read_motor_file(MOTOR).motor.R_a0
-    for effect in ("coulomb_friction", "constant_torque"):
-        write_motor_file(add(file, [effect], [recording]).rungs[-1].file, tmp_path / "motor.toml")
-        file = read_motor_file(tmp_path / "motor.toml")
+    size = KNOWN * read_motor_file(MOTOR).motor.R_a0
+    for file in one_by_one:
         known = file.knowledge["R_a0"]
         assert known.prior == Stated(rough.motor.R_a0, size, "bridge")
         assert file.knowledge["J"].prior is None
@@ -57,19 +65,23 @@ def test_what_a_file_states_is_kept_from_one_addition_to_the_next(rough, recordi
         assert known.sd == pytest.approx(size, rel=0.02)
         assert file.motor.R_a0 == pytest.approx(known.prior.value, abs=0.2 * size)
     for key, true in SIZES.items():
-        sd = file.knowledge[key].sd
+        sd = one_by_one[-1].knowledge[key].sd
         assert sd is not None and KNOWN < sd / abs(true) < 4 * KNOWN
-        assert abs(file.values()[key] - true) < 3 * sd
+        assert abs(one_by_one[-1].values()[key] - true) < 3 * sd
 
-    # In one step the same, as far as fits go to the end (`weighed.CLOSE`), each judged beside the other.
-    both = add(rough, [name.partition(".")[0] for name in SIZES], [recording])
+
+@pytest.mark.fit
+def test_several_at_once_are_what_they_are_one_after_the_other(rough, recording, one_by_one):
+    """As far as fits go to the end (`weighed.CLOSE`)."""
+    both, last = add(rough, [key.partition(".")[0] for key in SIZES], [recording]), one_by_one[-1]
     assert both.supported and both.new == 2
     assert [rung.added for rung in both.rungs] == ["", "coulomb_friction", "constant_torque"]
+    found = both.rungs[-1].file
     for key in (*SIZES, "R_a0", "J", "b"):
-        assert both.rungs[-1].file.values()[key] == pytest.approx(
-            file.values()[key], abs=0.7 * (file.knowledge[key].sd or 0.0)
-        )
-        assert both.rungs[-1].file.knowledge[key].sd == pytest.approx(file.knowledge[key].sd, rel=0.1)
+        sd = last.knowledge[key].sd
+        assert sd is not None
+        assert found.values()[key] == pytest.approx(last.values()[key], abs=0.7 * sd)
+        assert found.knowledge[key].sd == pytest.approx(sd, rel=0.1)
 
 
 @pytest.mark.fit

@@ -115,8 +115,8 @@ def _once(fit: Fit, keys: tuple[str, ...]) -> tuple[str, ...]:
     if not twice:
         return ()
     return (
-        f"{', '.join(twice)}: the motor file learnt them from these recordings; what was known before counts here, "
-        "so that nothing counts twice",
+        f"{', '.join(twice)}: the motor file learnt them from recordings of these names; what was known before counts "
+        "here, so that nothing counts twice",
     )
 
 

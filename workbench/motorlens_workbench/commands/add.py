@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         found = ladders.remove(file, arguments.effect, fitted, judge, say, arguments.differing)
     else:
         found = ladders.add(file, arguments.effect, fitted, judge, given.effects, say, arguments.differing)
-    written = found.supported or (arguments.force and found.rungs[-1].added == arguments.effect[-1])
+    written = found.supported or (arguments.force and found.new == len(arguments.effect))
     document = to_json(found, arguments.effect, arguments.motor, arguments.output if written else None)
     if written:
         better = found.rungs[-1].file
