@@ -7,13 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.compile.types import (
+    ANGLE,
     IMPOSED_SLOPES,
+    IMPOSED_VALUES,
     IMPOSES_CURRENT,
     IMPOSES_SPEED,
     LOCKS,
     OPENS,
     SHORTS,
     SLOPES,
+    SLOPES_OF_IMPOSED,
+    TIED,
 )
 from motorlens_physics.conditions import Shaft, Terminal, codes
 from motorlens_runtime.errors import DataError
@@ -37,6 +41,7 @@ class Inputs:
         shaft: (N,) of `Shaft`; None: free throughout.
         current_A: (N,) what a current-controlled drive imposes; held or linear as the voltage would be.
         speed_rad_s: (N,) what turns the shaft imposes; linear.
+        angle_rad: (N,) the shaft angle where it is known, for what goes with it; linear. None: the integral of the speed.
     """
 
     time_s: Array
@@ -48,10 +53,13 @@ class Inputs:
     shaft: NDArray[np.int64] | None = None
     current_A: Array | None = None
     speed_rad_s: Array | None = None
+    angle_rad: Array | None = None
 
     def __post_init__(self) -> None:
         self._check_conditions()
-        given = [name for name in ("current_A", "speed_rad_s") if getattr(self, name) is not None]
+        given = [
+            name for name in ("current_A", "speed_rad_s", "angle_rad") if getattr(self, name) is not None
+        ]
         for name in ("time_s", "voltage_V", "load_torque_Nm", "ambient_C", *given):
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             object.__setattr__(self, name, values)
@@ -100,7 +108,7 @@ def acting_of(inputs: Inputs) -> tuple[Array, NDArray[np.int64]]:
     """What acts on the motor from each sample on, and what is imposed, see `compile.types.Given`."""
     samples, spans = inputs.time_s.size, np.diff(inputs.time_s)
     free = inputs.terminal is None and inputs.shaft is None
-    acting = np.zeros((samples, IMPOSED_SLOPES if free else 10))
+    acting = np.zeros((samples, IMPOSED_SLOPES if free else TIED))
 
     def put(value: int, slope: int, y: Array, runs: NDArray[np.bool_] | bool) -> None:
         acting[:, value] = y
@@ -113,6 +121,8 @@ def acting_of(inputs: Inputs) -> tuple[Array, NDArray[np.int64]]:
     held = inputs.hold
     for j, y in enumerate((inputs.voltage_V, inputs.load_torque_Nm, inputs.ambient_C)):
         put(j, SLOPES + j, y, not held[j])
+    if inputs.angle_rad is not None:
+        put(ANGLE, SLOPES + ANGLE, inputs.angle_rad, True)
     if free:
         return acting, _NOTHING_IMPOSED
     terminal = np.zeros(samples, dtype=np.int64) if inputs.terminal is None else inputs.terminal
@@ -124,8 +134,9 @@ def acting_of(inputs: Inputs) -> tuple[Array, NDArray[np.int64]]:
         )
     ):
         if imposed is not None and tied.any():
-            put(6 + j, 8 + j, np.where(tied, imposed, 0.0), tied[:-1] & tied[1:] & runs)
-    acting[(terminal == Terminal.SHORTED)[:, None] & np.isin(np.arange(10), (0, SLOPES))] = 0.0
+            both = tied[:-1] & tied[1:] & runs
+            put(IMPOSED_VALUES + j, SLOPES_OF_IMPOSED + j, np.where(tied, imposed, 0.0), both)
+    acting[(terminal == Terminal.SHORTED)[:, None] & np.isin(np.arange(TIED), (0, SLOPES))] = 0.0
     how = (
         IMPOSES_CURRENT * np.isin(terminal, (Terminal.OPEN, Terminal.CURRENT))
         + IMPOSES_SPEED * np.isin(shaft, (Shaft.LOCKED, Shaft.TURNED))

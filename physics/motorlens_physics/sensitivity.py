@@ -16,7 +16,7 @@ from motorlens_physics.compile.types import Variations
 from motorlens_physics.effect import Effect
 from motorlens_physics.motor import Motor
 from motorlens_physics.simulation import TOLERANCE, Array, Inputs, Trajectory, initial_states, run, structure
-from motorlens_physics.symbols import INPUT_KEYS, forcing_keys, parameter_keys, switch_key
+from motorlens_physics.symbols import INPUT_KEYS, forcing_keys, parameter_keys, states_of, switch_key
 from motorlens_runtime.errors import ModelError
 
 INITIAL = "initial."
@@ -110,7 +110,7 @@ def linearise_and_differentiate(
     trajectory, kept, linear = differentiate(
         motor, inputs, initial, keys, tolerance=tolerance, smooth=smooth, most_steps=most_steps
     )
-    return trajectory, _by_key(keys, trajectory, kept), linear
+    return trajectory, _by_key(keys, linear.states, trajectory, kept), linear
 
 
 def differentiate(
@@ -128,10 +128,10 @@ def differentiate(
     Raises:
         ModelError: as `sensitivities`.
     """
-    n, steps = len(motor.states()), inputs.time_s.size - 1
-    matrices = np.empty((max(steps, 1), n, n + 6))[:steps]
+    states, steps = _states(motor, inputs), inputs.time_s.size - 1
+    matrices = np.empty((max(steps, 1), len(states), len(states) + 6))[:steps]
     trajectory, kept = _forward(motor, inputs, initial, keys, (), tolerance, smooth, matrices, most_steps)
-    return trajectory, kept, Linearisation(tuple(trajectory.states), matrices)
+    return trajectory, kept, Linearisation(states, matrices)
 
 
 def sensitivities(
@@ -173,11 +173,17 @@ def sensitivities(
     trajectory, kept = _forward(
         motor, inputs, initial, keys, candidates, tolerance, smooth, np.empty((0, 0, 0)), most_steps
     )
-    return trajectory, _by_key(columns, trajectory, kept)
+    return trajectory, _by_key(columns, _states(motor, inputs), trajectory, kept)
 
 
-def _by_key(keys: Sequence[str], trajectory: Trajectory, kept: Array) -> dict[str, dict[str, Array]]:
-    rows = [*trajectory.states, *(() if trajectory.shown_V is None else ("v",))]
+def _states(motor: Motor, inputs: Inputs) -> tuple[str, ...]:
+    return states_of(motor, turned=inputs.angle_rad is not None)
+
+
+def _by_key(
+    keys: Sequence[str], states: Sequence[str], trajectory: Trajectory, kept: Array
+) -> dict[str, dict[str, Array]]:
+    rows = [*states, *(() if trajectory.shown_V is None else ("v",))]
     return {key: {name: kept[:, r, j] for r, name in enumerate(rows)} for j, key in enumerate(keys)}
 
 
@@ -192,7 +198,7 @@ def _forward(
     matrices: Array,
     most_steps: int | None,
 ) -> tuple[Trajectory, Array]:
-    system, code = structure(motor, candidates, forced=True)
+    system, code = structure(motor, candidates, forced=True, turned=inputs.angle_rad is not None)
     x = initial_states(replace(motor, effects=(*motor.effects, *candidates)), system, initial)
     n, samples = system.of_motor, inputs.time_s.size
     own = list(system.states[:n])

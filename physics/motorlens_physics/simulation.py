@@ -17,7 +17,16 @@ from types import SimpleNamespace
 import numpy as np
 
 from motorlens_physics.compile import Compiled, compiled
-from motorlens_physics.compile.types import ACCEPTED, ALLOWED, REJECTED, Course, Given, Variations
+from motorlens_physics.compile.types import (
+    ACCEPTED,
+    ALLOWED,
+    IMPOSED_VALUES,
+    REJECTED,
+    TIED,
+    Course,
+    Given,
+    Variations,
+)
 from motorlens_physics.effect import Effect
 from motorlens_physics.inputs import Array, Inputs, acting_of
 from motorlens_physics.motor import Motor
@@ -110,7 +119,7 @@ def simulate(
         ModelError: a state or parameter that is not finite or not there, or an integration that fails or takes too many
             steps: where, and why.
     """
-    system, code = structure(motor)
+    system, code = structure(motor, turned=inputs.angle_rad is not None)
     states = initial_states(motor, system, initial)
     return run(system, code, motor, inputs, states, tolerance=tolerance, smooth=smooth, most_steps=most_steps)
 
@@ -157,7 +166,7 @@ class Stepper:
         self._system, self._motor_code = structure(motor)
         self._x = initial_states(motor, self._system, initial)
         self._parameters = np.array(parameter_values(motor), dtype=np.float64)
-        self._acting = np.zeros((2, 10))
+        self._acting = np.zeros((2, TIED))
         self._given = Given(np.zeros(2), self._acting, _NO_INDEX, False, self._parameters)
         self._scale = np.maximum(_scales(motor, self._system, np.zeros((1, 3)), self._x), 1e-3)
         self._course = Course(self._x, np.array([np.inf, 0.0, 0.0, 0.0]), tolerance * self._scale, tolerance)
@@ -192,11 +201,11 @@ class Stepper:
 
 
 def structure(
-    motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = False
+    motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = False, turned: bool = False
 ) -> tuple[System, Compiled]:
     """The symbols and the machine code of a motor's structure (see `trace`); parameter values do not matter."""
     own, further = (tuple(map(type, in_order(effects))) for effects in (motor.effects, candidates))
-    return _structure(own, further, forced)
+    return _structure(own, further, forced, turned)
 
 
 def initial_states(motor: Motor, system: System, initial: Mapping[str, float] | None) -> Array:
@@ -243,7 +252,9 @@ def run(
     acting, imposed = acting_of(inputs)
     largest = x.copy()
     if imposed.size:
-        largest[:2] = np.maximum(np.abs(x[:2]), np.abs(acting[:, 6:8]).max(axis=0))
+        largest[:2] = np.maximum(
+            np.abs(x[:2]), np.abs(acting[:, IMPOSED_VALUES : IMPOSED_VALUES + 2]).max(axis=0)
+        )
     size = _scales(motor, system, acting, largest)
     samples = inputs.time_s.size
     out = np.empty((samples, x.size + (imposed.size > 0)))
@@ -258,6 +269,8 @@ def run(
             _failure(motor, system, inputs, failed, out[failed, : x.size], course.carry[ALLOWED] < 0)
         )
     states = {name: out[:, j] for j, name in enumerate(system.states[: system.of_motor])}
+    if inputs.angle_rad is not None:
+        states |= {name: inputs.angle_rad for name in motor.states() if name not in states}
     steps = int(course.carry[ACCEPTED] + course.carry[REJECTED])
     return Trajectory(motor, inputs, states, steps, out[:, -1] if imposed.size else None)
 
@@ -303,19 +316,20 @@ def _failure(motor: Motor, system: System, inputs: Inputs, k: int, x: Array, exh
 
 def _fastest(motor: Motor, inputs: Inputs, k: int, x: dict[str, float]) -> complex | None:
     """The fastest oscillation of the motor about a state, else what grows fastest, in 1/s; None where neither is told."""
-    states = motor.states()
+    # A shaft angle that is an input is none of the states: it stands at 0 here.
+    at = {**motor.states(), **x}
     u = SimpleNamespace(
         v=inputs.voltage_V[k], load=inputs.load_torque_Nm[k], ambient=inputs.ambient_C[k], t=inputs.time_s[k]
     )
-    jacobian = np.zeros((len(states), len(states)))
+    jacobian = np.zeros((len(x), len(x)))
     try:
         with np.errstate(all="ignore"):
-            for c, name in enumerate(states):
+            for c, name in enumerate(x):
                 step = 1e-6 * max(abs(x[name]), 1e-3)
                 above, below = (
-                    motor.rates(SimpleNamespace(**{**x, name: x[name] + sign * step}), u) for sign in (1, -1)
+                    motor.rates(SimpleNamespace(**{**at, name: x[name] + sign * step}), u) for sign in (1, -1)
                 )
-                jacobian[:, c] = [(above[row] - below[row]) / (2 * step) for row in states]
+                jacobian[:, c] = [(above[row] - below[row]) / (2 * step) for row in x]
             poles = np.linalg.eigvals(jacobian)
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return None
@@ -324,10 +338,10 @@ def _fastest(motor: Motor, inputs: Inputs, k: int, x: dict[str, float]) -> compl
 
 @cache
 def _structure(
-    effects: tuple[type[Effect], ...], candidates: tuple[type[Effect], ...], forced: bool
+    effects: tuple[type[Effect], ...], candidates: tuple[type[Effect], ...], forced: bool, turned: bool
 ) -> tuple[System, Compiled]:
     motor = Motor(effects=tuple(effect() for effect in effects))
-    system = trace(motor, [effect() for effect in candidates], forced=forced)
+    system = trace(motor, [effect() for effect in candidates], forced=forced, turned=turned)
     return system, compiled(system)
 
 

@@ -21,7 +21,7 @@ from motorlens_physics.parameter import parameters
 
 # tanh(20) is 1 to the last bit of a float64.
 _SATURATED = 20
-INPUTS = ("v", "load", "ambient")
+INPUTS = ("v", "load", "ambient", "angle")
 # Keys of sensitivities to a constant that is added to an input.
 INPUT_KEYS = ("input.voltage", "input.load_torque", "input.ambient")
 # The inductance, inertia and heat capacity that stand before the derivatives of the three textbook states.
@@ -75,7 +75,9 @@ class System:
         return tuple(named(f"p_{k}") for k in range(len(self.keys)))
 
 
-def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = False) -> System:
+def trace(
+    motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = False, turned: bool = False
+) -> System:
     """The equations of a motor, and the forcings of its sensitivities.
 
     A candidate stands in the equations at its null: its states run along, driven by the motor, and it acts on nothing;
@@ -85,13 +87,17 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = Fal
         motor: the structure; its parameters' values do not matter.
         candidates: effects that the motor lacks.
         forced: whether to derive the forcings, of all parameters of the motor that are not fixed and all switches.
+        turned: whether the shaft angle is an input; otherwise it is a state, the integral of the speed.
     """
     motor, candidates = replace(motor, effects=in_order(motor.effects)), in_order(candidates)
     keys = parameter_keys(motor, candidates)
     symbol = {key: named(f"p_{k}") for k, key in enumerate(keys)}
     whole = _symbolic(replace(motor, effects=(*motor.effects, *candidates)), symbol)
-    states = tuple(dict.fromkeys((*motor.states(), *whole.states())))
-    x = SimpleNamespace(**{name: named(f"x_{name}") for name in states})
+    own, every = states_of(motor, turned=turned), states_of(whole, turned=turned)
+    states = tuple(dict.fromkeys((*own, *every)))
+    x = SimpleNamespace(
+        **{name: named(f"x_{name}" if name in states else "u_angle") for name in whole.states()}
+    )
     u = SimpleNamespace(**{name: named(f"u_{name}") for name in (*INPUTS, "t")})
 
     voltage, torque, heat = (sp.sympify(balance) for balance in whole.balances(x, u))
@@ -101,8 +107,8 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = Fal
     balances = [voltage, torque, heat, *(sp.sympify(rates[name]) for name in states[3:])]
 
     at_null = {symbol[switch_key(effect)]: sp.Float(effect.switch().null) for effect in candidates}
-    of_motor = len(motor.states())
-    variable = symbol | dict(zip(INPUT_KEYS, (named(f"u_{name}") for name in INPUTS), strict=True))
+    of_motor = len(own)
+    variable = symbol | {key: named(f"u_{name}") for key, name in zip(INPUT_KEYS, INPUTS, strict=False)}
     forcings = {
         key: tuple(sp.diff(f, variable[key]).subs(at_null) for f in balances[:of_motor])
         for key in (forcing_keys(motor, candidates) if forced else ())
@@ -115,6 +121,12 @@ def trace(motor: Motor, candidates: Sequence[Effect] = (), *, forced: bool = Fal
         forcings[mass] = tuple(f - rate if r == row else f for r, f in enumerate(forcings[mass]))
     stiction = sum((effect.stiction(whole, x, u) for effect in whole.effects), start=sp.Integer(0))
     return System(states, keys, tuple(balances), sp.sympify(stiction).subs(at_null), of_motor, forcings)
+
+
+def states_of(motor: Motor, *, turned: bool) -> tuple[str, ...]:
+    """Names of a motor's states; its shaft angle is none where that is `turned` by what is known of it."""
+    angles = {name for effect in motor.effects for name, s in effect.states.items() if s.kind == "angle"}
+    return tuple(name for name in motor.states() if not (turned and name in angles))
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:

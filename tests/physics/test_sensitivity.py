@@ -55,6 +55,29 @@ def test_parameters_agree_with_differences_of_scipy(key: str) -> None:
     assert_close(mine[key], difference(above, below, 2 * step), 1e-4, key)
 
 
+@pytest.mark.parametrize("key", ["ke", "J", "commutation_ripple.eps", "commutation_ripple.p"])
+def test_along_a_shaft_angle_that_is_known_they_agree_with_differences_of_scipy(key: str) -> None:
+    """A parameter that turns the motor faster does not move the teeth."""
+    ripple = replace(catalogue()["commutation_ripple"].typical(PLATE), eps=0.03, N=8.0, p=0.7)
+    motor, start = Motor().with_effect(ripple), {"w": 150.0, "theta": 40.0}
+    inputs = replace(drive(1, 51, low=100.0, held=False), angle_rad=0.3 * np.arange(51.0))
+
+    def moved(by: float) -> Motor:
+        owner, _, name = key.rpartition(".")
+        if not owner:
+            return replace(motor, **{name: getattr(motor, name) + by})
+        return Motor().with_effect(replace(ripple, **{name: getattr(ripple, name) + by}))
+
+    step = 1e-2 if "." in key else 1e-4 * getattr(motor, key)
+    above, below = (scipy_solution(moved(s * step), inputs, start) for s in (1, -1))
+    _, mine = sensitivities(motor, inputs, start, [key], tolerance=1e-8)
+    assert set(mine[key]) == set(STATES)
+    assert_close(mine[key], difference(above, below, 2 * step), 1e-4, key)
+    _, one_pass, linear = linearise_and_differentiate(motor, inputs, start, [key], tolerance=1e-8)
+    assert linear.states == STATES
+    assert_close(one_pass[key], mine[key], 1e-9, key)
+
+
 @pytest.mark.fit
 @pytest.mark.parametrize(
     "key", [*KEYS, "coulomb_friction.tau_c", "initial.theta", "initial.i", "input.load_torque"]

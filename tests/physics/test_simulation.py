@@ -213,6 +213,7 @@ def test_parameters_are_arguments_of_the_compiled_code() -> None:
         ({"time_s": np.array([0.0, 2.0, 1.0])}, "does not increase at sample 2"),
         ({"voltage_V": np.array([0.0, np.nan, 1.0])}, "voltage_V is not finite at sample 1"),
         ({"ambient_C": np.zeros(2)}, "ambient_C has shape"),
+        ({"angle_rad": np.array([0.0, np.inf, 1.0])}, "angle_rad is not finite at sample 1"),
     ],
 )
 def test_inputs_that_make_no_sense_are_refused(change: dict[str, np.ndarray], message: str) -> None:
@@ -252,6 +253,22 @@ def test_a_fit_does_not_wait_for_a_motor_that_never_settles() -> None:
     assert np.isfinite(simulate(Motor(), rarely, smooth=True).speed_rad_s).all()
     often = constant(1.0, 1001, 240.0)
     assert np.isfinite(simulate(toothed, often, smooth=True).speed_rad_s).all()
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_what_goes_with_a_shaft_angle_that_is_known_goes_with_that_one(held: bool) -> None:
+    """Teeth along an angle that is not the integral of the simulated speed, three a sample, against scipy."""
+    toothed = Motor().with_effect(replace(catalogue()["cogging_torque"].typical(PLATE), A=2.0))
+    inputs, start = random_voltage(3, 41, 2e-3, held=held, low=100.0), {"w": 150.0}
+    angle = 0.8 * np.arange(41) + np.sin(0.3 * np.arange(41))
+    known = replace(inputs, angle_rad=angle)
+    truth, mine = scipy_solution(toothed, known, start), simulate(toothed, known, start, tolerance=1e-8)
+    for name in STATES:
+        np.testing.assert_allclose(mine.states[name], truth[name], atol=1e-5 * np.abs(truth[name]).max())
+    np.testing.assert_array_equal(mine.states["phi"], angle)
+    # Left to itself the shaft stands elsewhere, and the teeth with it.
+    free = simulate(toothed, inputs, start)
+    assert np.abs(free.speed_rad_s - mine.speed_rad_s).max() > 0.05
 
 
 def test_each_input_runs_between_samples_in_its_own_way() -> None:

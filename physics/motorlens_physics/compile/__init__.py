@@ -183,7 +183,7 @@ def _balance(system: System) -> str:
 def _at(system: System) -> list[str]:
     """Lines that give names to states and inputs."""
     lines = [f"{x} = x[{j}]" for j, x in enumerate(system.x)]
-    lines += [f"u_{name} = u[{j}] + u[{3 + j}] * ahead" for j, name in enumerate(INPUTS)]
+    lines += [f"u_{name} = u[{j}] + u[{types.SLOPES + j}] * ahead" for j, name in enumerate(INPUTS)]
     return [*lines, "u_t = t + ahead"]
 
 

@@ -25,6 +25,7 @@ from motorlens_physics.compile.types import (
     CURRENT,
     IMPOSED,
     IMPOSED_SLOPES,
+    IMPOSED_VALUES,
     IMPOSES_CURRENT,
     IMPOSES_SPEED,
     LOCKS,
@@ -33,6 +34,7 @@ from motorlens_physics.compile.types import (
     SHORTED,
     SHORTS,
     SLOPES,
+    SLOPES_OF_IMPOSED,
     SPEED,
     TRIAL,
 )  # fmt: skip
@@ -75,7 +77,8 @@ def act(acting: Vector, k: int, u: Vector) -> None:
 
 def tie(acting: Vector, how: int, k: int, u: Vector) -> None:
     """Put into u what is imposed from sample k on; the values are those of the state."""
-    u[IMPOSED_SLOPES], u[IMPOSED_SLOPES + 1] = acting[k, 8], acting[k, 9]
+    for state in range(2):
+        u[IMPOSED_SLOPES + state] = acting[k, SLOPES_OF_IMPOSED + state]
     u[IMPOSED + CURRENT] = 1.0 if how & IMPOSES_CURRENT else 0.0
     u[IMPOSED + SPEED] = 1.0 if how & IMPOSES_SPEED else 0.0
     u[SHORTED] = 1.0 if how & SHORTS else 0.0
@@ -85,7 +88,7 @@ def impose(acting: Vector, how: int, k: int, u: Vector, x: Vector, S: Vector, be
     """Set the states that are imposed from sample k on; they answer to nothing but a constant added to what is given."""
     for state in range(2):
         if u[IMPOSED + state] != 0.0:
-            x[state] = acting[k, 6 + state]
+            x[state] = acting[k, IMPOSED_VALUES + state]
             if S.size > 0:
                 for j in range(S.shape[1]):
                     S[state, j] = 0.0

@@ -55,13 +55,12 @@ def step_source(system: System) -> list[str]:
     lines = [f"{name} = x[{j}]" for j, name in enumerate(x)]
     lines += [f"{p} = p[{k}]" for k, p in enumerate(system.p) if p in set(system.masses)]
     lines += [
-        "v, load, ambient, dv, dload, dambient, di, dw, imposed, turned, shorted = u",
+        "v, load, ambient, angle, dv, dload, dambient, dangle, di, dw, imposed, turned, shorted = u",
         "flow = 1.0 - imposed",
     ]
     names = [*(f"f{j}" for j in range(n)), *(f"a{r}_{c}" for r, c in jacobian), *(f"ft{j}" for j in range(n))]
-    lines += [
-        f"{', '.join(names)} = linearised({', '.join(x)}, v, load, ambient, t, side, p, dv, dload, dambient)"
-    ]
+    given = "v, load, ambient, angle, t, side, p, dv, dload, dambient, dangle"
+    lines += [f"{', '.join(names)} = linearised({', '.join(x)}, {given})"]
     lines += ["r = 1.0 / h"]
     lines += [f"m{j} = {mass} * r" if mass != 1 else f"m{j} = r" for j, mass in enumerate(system.masses)]
     # The row of a resting rotor, or of what is imposed, is emptied: it keeps its state, or follows the slope it is given. An
@@ -79,14 +78,14 @@ def step_source(system: System) -> list[str]:
         if s > 0:
             stage = [" + ".join([x[j], *(f"{a!r} * k{q}_{j}" for q, a in enumerate(A[s]))]) for j in range(n)]
             ahead = f"{ALPHA[s]!r} * h"
-            inputs = f"v + {ahead} * dv, load + {ahead} * dload, ambient + {ahead} * dambient, t + {ahead}"
+            inputs = ", ".join(f"{u} + {ahead} * d{u}" for u in ("v", "load", "ambient", "angle"))
             if s < 5:
                 lines += [f"y{j} = {stage[j]}" for j in range(n)]
             else:
                 lines += [f"y{j} = y{j} + k4_{j}" for j in range(n)]
             right = "".join(f"f{j}, " for j in range(n))
             states = ", ".join(f"y{j}" for j in range(n))
-            lines += [f"{right} = balances({states}, {inputs}, side, p)"]
+            lines += [f"{right} = balances({states}, {inputs}, t + {ahead}, side, p)"]
             lines += follow
         for j in range(n):
             history = " + ".join(f"{c!r} * k{q}_{j}" for q, c in enumerate(C[s]))

@@ -13,9 +13,11 @@ Matrix = Any
 fastmath = ("contract", "arcp", "nsz", "reassoc")
 options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
 
-# Where `u`, what acts at an instant, keeps its parts: voltage, load torque and ambient, their slopes, the slopes of an
-# imposed current and speed, whether they are imposed, and whether the terminals are shorted.
-SLOPES, IMPOSED_SLOPES, IMPOSED, SHORTED, ACTING = 3, 6, 8, 10, 11
+# Where `u`, what acts at an instant, keeps its parts: voltage, load torque, ambient and shaft angle, their slopes, the
+# slopes of an imposed current and speed, whether they are imposed, and whether the terminals are shorted.
+ANGLE, SLOPES, IMPOSED_SLOPES, IMPOSED, SHORTED, ACTING = 3, 4, 8, 10, 12, 13
+# Where `Given.acting` keeps what is imposed and its slopes, current before speed, and how wide it then is.
+IMPOSED_VALUES, SLOPES_OF_IMPOSED, TIED = 8, 10, 12
 # Which of a pair the current and the speed are.
 CURRENT, SPEED = 0, 1
 # What is imposed in a sample, as bits: the current, the speed (of zero by an open terminal, by a lock), a voltage of zero.
@@ -27,9 +29,10 @@ TRIAL, ACCEPTED, REJECTED, ALLOWED = 0, 1, 2, 3
 class Given(NamedTuple):
     """What acts on a motor, over N samples.
 
-    `acting` is (N, 10): voltage, load torque, ambient and their slopes to the next sample, then the current and the speed
-    that are imposed and their slopes. `imposed` holds the bits from `IMPOSES_CURRENT` on, (N,). Where the terminals are
-    driven and the shaft is free throughout, they are (N, 6) and (0,). `p` are the parameters, see `System.keys`.
+    `acting` is (N, 12): voltage, load torque, ambient, shaft angle and their slopes to the next sample, then the current and
+    the speed that are imposed and their slopes. `imposed` holds the bits from `IMPOSES_CURRENT` on, (N,). Where the
+    terminals are driven and the shaft is free throughout, they are (N, 8) and (0,). `p` are the parameters, see
+    `System.keys`.
     """
 
     time: Vector

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.motor import Motor
-from motorlens_physics.simulation import Inputs, Trajectory
+from motorlens_physics.simulation import Trajectory
 
 Array = NDArray[np.float64]
 
@@ -55,20 +54,9 @@ def forcing(effect: Effect, trajectory: Trajectory) -> Forcing:
 
 
 def _of_angle(effect: Effect, trajectory: Trajectory) -> Forcing:
-    u = inputs_at(trajectory)
-    return of_angle(effect, trajectory.motor, _states(effect, trajectory, u), u, held=False)
-
-
-def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> Forcing:
-    """What an effect of the shaft angle adds to the balances, as samples that do in between what its true course does.
-
-    Args:
-        effect: with the angle as its state.
-        motor: the motor it belongs to.
-        x: (N,) states along the way, "phi" among them.
-        u: the inputs as effects read them.
-        held: whether a sample holds until the next; otherwise they are joined by straight lines.
-    """
+    """As samples that, joined by straight lines, do in between what its true course does."""
+    motor, u = trajectory.motor, inputs_at(trajectory)
+    x = _states(effect, trajectory, u)
     rounds = getattr(effect, effect.with_role("count"), 1.0)
     advance, period_s = rounds * np.gradient(x.phi), float(np.median(np.diff(u.t)))
     lag_s = {"voltage": motor.L / motor.R_a0, "torque": motor.J / (motor.b + motor.ke**2 / motor.R_a0)}
@@ -76,7 +64,7 @@ def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> For
     for name, lag in lag_s.items():
         if getattr(type(effect), name) is getattr(Effect, name):
             continue  # it adds nothing to this balance
-        factor = between_samples(advance, lag / period_s, held=held)
+        factor = between_samples(advance, lag / period_s)
         at = SimpleNamespace(**{**vars(x), "phi": x.phi + np.angle(factor) / rounds})
         size = np.abs(factor)
         kept = np.clip((TOO_FAR - size) / (TOO_FAR - RAISED), 0.0, 1.0)
@@ -86,11 +74,7 @@ def of_angle(effect: Effect, motor: Motor, x: Any, u: Any, *, held: bool) -> For
 
 def inputs_at(trajectory: Trajectory) -> Any:
     """The inputs along a trajectory as effects read them."""
-    return as_read(trajectory.inputs)
-
-
-def as_read(i: Inputs) -> Any:
-    """Inputs as effects read them."""
+    i = trajectory.inputs
     return SimpleNamespace(v=i.voltage_V, load=i.load_torque_Nm, ambient=i.ambient_C, t=i.time_s)
 
 
@@ -132,23 +116,22 @@ def _array(value: Any, rows: int) -> Array:
     return np.broadcast_to(np.asarray(value, dtype=np.float64), (rows,))
 
 
-def between_samples(advance: Array, lag: float, *, held: bool) -> NDArray[np.complex128]:
+def between_samples(advance: Array, lag: float) -> NDArray[np.complex128]:
     """(N,) factor for samples of a rotating phasor, so that a first-order lag answers as to the phasor itself.
 
     The true answer over that of the sampled lag, 1 / (1 + j w T) over (b0 + b1 z) / (z - k) with z = exp(j w dt), where the
-    lag is driven by straight lines, or steps, between the samples (Franklin, Powell and Workman, Digital Control of Dynamic
+    lag is driven by straight lines between the samples (Franklin, Powell and Workman, Digital Control of Dynamic
     Systems, 3rd ed., section 6.3). A pure integrator driven by lines wants tan(h) / h, h = w dt / 2.
 
     Args:
         advance: (N,) phase from one sample to the next, rad, w dt.
         lag: time constant in samples, T / dt.
-        held: steps, not lines.
 
-    >>> round(float(abs(between_samples(np.array([0.5]), 1e6, held=False)[0])), 4), round(float(np.tan(0.25) / 0.25), 4)
+    >>> round(float(abs(between_samples(np.array([0.5]), 1e6)[0])), 4), round(float(np.tan(0.25) / 0.25), 4)
     (1.0214, 1.0214)
     """
     keep = np.exp(-1 / lag)
-    later = 0.0 if held else 1 - lag * (1 - keep)
+    later = 1 - lag * (1 - keep)
     z = np.exp(1j * advance)
     sampled = (1 - keep - later + later * z) / (z - keep)
     return np.asarray(1 / (1 + 1j * advance * lag) / np.where(np.abs(sampled) > 1e-12, sampled, 1e-12))

@@ -10,14 +10,13 @@ derivatives exist everywhere.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.forcing import SETTLED, as_read, of_angle
+from motorlens_physics.estimate.forcing import SETTLED
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -65,32 +64,21 @@ class Model:
         return replace(self, file=self.file.with_values(shared), own=tuple(own))
 
 
-def by_angle(model: Model, run: Run) -> tuple[Effect, ...]:
-    """What of the model goes with a shaft angle that is known: it acts as part of the inputs.
-
-    An angle from a simulated speed would drift by whole teeth.
-    """
-    if run.shaft is None:
-        return ()
-    return tuple(effect for effect in model.file.motor.effects if set(effect.states) == {"phi"})
-
-
 def without_angle(model: Model, run: Run) -> tuple[Effect, ...]:
     """What goes with the shaft angle, in a run of which that is not known: it averages out."""
     return () if run.turns else tuple(one for one in model.file.motor.effects if one.turns())
 
 
 def motor_of(model: Model, run: Run) -> Motor:
-    """The motor that is simulated: without what the known angle determines, or an unknown one averages."""
-    away = (*by_angle(model, run), *without_angle(model, run))
-    motor = model.file.motor
+    """The motor that is simulated: without what an unknown angle averages."""
+    away, motor = without_angle(model, run), model.file.motor
     return replace(motor, effects=tuple(effect for effect in motor.effects if effect not in away))
 
 
 def inputs_of(model: Model, run: Run, r: int) -> Inputs:
     """What truly acted on the motor if the model is right: sensor models of inputs undone, nuisances added."""
     own, shown = model.own[r], run.inputs
-    motor, held = model.file.motor, model.held[r] if model.held else shown.hold
+    held = model.held[r] if model.held else shown.hold
     voltage, load, ambient = shown.voltage_V, shown.load_torque_Nm, shown.ambient_C
     if run.corrections is not None:
         # Of what the sensors show, before their faults are undone: a gain must not make their noise smaller.
@@ -101,11 +89,12 @@ def inputs_of(model: Model, run: Run, r: int) -> Inputs:
         load = load + own["load"]
     if "ambient" in own:
         ambient = ambient + own["ambient"]
-    for effect in by_angle(model, run):
-        assert run.shaft is not None
-        added = of_angle(effect, motor, SimpleNamespace(**run.shaft), as_read(shown), held=held[0])
-        voltage, load = voltage + added.voltage, load - added.torque
-    return replace(shown, voltage_V=voltage, load_torque_Nm=load, ambient_C=ambient, held=held)
+    # An angle from a simulated speed would drift by whole teeth.
+    turns = any(effect.turns() for effect in motor_of(model, run).effects)
+    return replace(
+        shown, voltage_V=voltage, load_torque_Nm=load, ambient_C=ambient, held=held,
+        angle_rad=run.shaft if turns else None,
+    )  # fmt: skip
 
 
 def start_of(model: Model, r: int) -> dict[str, float]:
@@ -205,13 +194,12 @@ def sensitivities_of(
     """
     inputs, start = inputs_of(model, run, r), start_of(model, r)
     motor = motor_of(model, run)
-    turned = tuple(f"{effect.name()}." for effect in by_angle(model, run))
     absent = tuple(f"{effect.name()}." for effect in without_angle(model, run))
     local = [key.partition("@")[0] if key.endswith(f"@{r}") else key for key in keys]
     of_motor = tuple(
         name
         for key, name in zip(keys, local, strict=True)
-        if ("@" not in key and not _is_sensor(model, key) and not key.startswith((*turned, *absent)))
+        if ("@" not in key and not _is_sensor(model, key) and not key.startswith(absent))
         or name.startswith("initial.")
     )
     trajectory, derivative, linear = differentiate(
@@ -225,10 +213,7 @@ def sensitivities_of(
     for c, channel in enumerate(run.channels if of_motor else ()):
         columns[:, c, at] = derivative[:, linear.states.index(STATE_OF[channel])]
     outside = [
-        key
-        for key in keys
-        if key.startswith(turned)
-        or (_is_sensor(model, key) and _sensor(model, key).channel not in run.channels)
+        key for key in keys if _is_sensor(model, key) and _sensor(model, key).channel not in run.channels
     ]
     for j, name in enumerate(local):
         if name == "load":
@@ -243,9 +228,8 @@ def sensitivities_of(
             k = run.channels.index(name[5:])
             rate = np.gradient(_sensed(model, run, name[5:], y[:, k]), run.inputs.time_s)
             columns[:, k, j] = -rate
-        elif key in outside or _is_sensor(model, key):
+        elif _is_sensor(model, key):
             value = model.file.values()[key]
-            # A phase may be 0, typically too; what is known of it beforehand never is.
             step = 1e-3 * max(abs(value), model.file.meaning(key).sd(model.file.rated))
             nudged = model.with_values({key: value + step})
             if key not in outside:

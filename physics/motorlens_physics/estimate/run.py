@@ -69,7 +69,7 @@ class Run:
         known: which inputs were recorded beside the voltage.
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
-        shaft: where its angle is known, the states along the way, (N,) each: phi, w, i and theta, see `shaft.followed`.
+        shaft: (N,) the angle that effects go with, as recorded or as `shaft.followed` has it, rad; None: not known.
         there: (N, C) which samples of each output were measured, and not imposed on the motor.
         steps: (C,) least significant bit of the converter of each output, 0 if continuous.
         converter_errors: input -> what lasts of its converter's error, where that matters, see `converter.lasting_error`.
@@ -102,7 +102,7 @@ class Run:
     offset_below: Mapping[str, float] = field(default_factory=dict)
     converter_errors: Mapping[str, LastingError] = field(default_factory=dict)
     turns: bool = True
-    shaft: Mapping[str, Array] | None = None
+    shaft: Array | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     saturated: Mapping[str, int] = field(default_factory=dict)
     late: Mapping[str, int] = field(default_factory=dict)
@@ -199,7 +199,7 @@ class Run:
     def part(self, rows: slice, file: MotorFile) -> "Run":
         """Some consecutive samples as a run of its own, as they are: none is averaged with another."""
         inputs, measured = self.inputs.part(rows), self.measured[rows]
-        shaft = None if self.shaft is None else {name: y[rows] for name, y in self.shaft.items()}
+        shaft = None if self.shaft is None else self.shaft[rows]
         start = first_states(file, self.channels, measured, inputs.ambient_C, inputs.voltage_V)
         errors = {name: replace(one, stays=one.stays[rows]) for name, one in self.converter_errors.items()}
         return replace(
@@ -289,17 +289,6 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     angle = recording.channels.get("angle")
     if angle is not None and not np.isfinite(angle).all():
         angle = None
-    shaft = None
-    if angle is not None:
-        # What was not measured is roughly known only; `shaft.followed` takes it from a simulation.
-        rough = {
-            "phi": angle,
-            "w": np.gradient(angle, time),
-            "i": np.zeros(rows),
-            "theta": np.full(rows, start["theta"]),
-        }
-        seen = {STATE_OF[c]: measured[:, k] for k, c in enumerate(used) if c != "temperature"}
-        shaft = {**rough, **seen}
     coarse_inputs = (_least_bit(inputs.voltage_V), _least_bit(inputs.load_torque_Nm))
     shown = {"voltage": inputs.voltage_V, "load_torque": inputs.load_torque_Nm}
     for (name, y), step in zip(shown.items(), coarse_inputs, strict=True):
@@ -313,7 +302,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         recording.name, inputs, used, measured, np.all(present, axis=1), present, least_bits, every, start, known, floor,
         angle, input_step=coarse_inputs,
         offset_below=exact, converter_errors=errors,
-        shaft=shaft, hung=hung, saturated=ends,
+        shaft=angle, hung=hung, saturated=ends,
     )  # fmt: skip
 
 

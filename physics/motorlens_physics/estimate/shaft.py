@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motorlens_physics.estimate.run import STATE_OF, Run
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import noise_sd, smoothed
 from motorlens_physics.simulation import Trajectory
 
@@ -22,22 +22,20 @@ STANDS = 0.01
 
 
 def followed(run: Run, trajectory: Trajectory, shown: Array) -> Run:
-    """The run with its shaft followed along a simulation; itself if its angle is anybody's guess.
+    """The run with its shaft followed along a simulation; itself if its angle was recorded, or is anybody's guess.
 
     Args:
         run: prepared recording.
         trajectory: simulated, N samples.
         shown: (N, C) what the sensors would show of it.
     """
-    if not run.turns or ("speed" not in run.channels and run.angle is None):
+    if not run.turns or run.angle is not None or "speed" not in run.channels:
         return run
-    states = dict(trajectory.states)
-    for k, channel in enumerate(run.channels):
-        error = run.measured[:, k] - shown[:, k]
-        states[STATE_OF[channel]] = states[STATE_OF[channel]] + lasting_share(error) * smoothed(error)
-    w, time = states["w"], run.inputs.time_s
+    k = run.channels.index("speed")
+    error = run.measured[:, k] - shown[:, k]
+    w, time = trajectory.speed_rad_s + lasting_share(error) * smoothed(error), run.inputs.time_s
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(time))])
-    return replace(run, shaft={**states, "phi": turned if run.angle is None else run.angle})
+    return replace(run, shaft=turned)
 
 
 def lasting_share(error: Array) -> float:

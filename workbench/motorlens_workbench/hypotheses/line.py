@@ -61,7 +61,7 @@ class Line:
         trajectory, predicted, own, linear = sensitivities_of(model, run, r, mine)
         error = error_of(model, run, r, run.measured - predicted, linear)
         if run.shaft is not None:
-            trajectory = replace(trajectory, states={**trajectory.states, "phi": run.shaft["phi"]})
+            trajectory = replace(trajectory, states={**trajectory.states, "phi": run.shaft})
         return cls(model, run, r, trajectory, predicted, error, own, mine, linear)
 
     def of_forcing(self, forcing: Forcing, *, held: bool | tuple[bool, bool, bool] = False) -> Array:
