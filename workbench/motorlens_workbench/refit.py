@@ -231,5 +231,5 @@ def _moved(fitted: Fitted, beside: Beside, score: Score) -> dict[str, float]:
         low, high = prior.bounds[key]
         if low >= 0 and values[key] > 0:
             low = max(low, NEAREST * values[key])
-        moved[key] = float(np.clip(values[key] + step * prior.sd[key], low, high))
+        moved[key] = float(np.clip(values[key] + step * beside.ledger.unit[key], low, high))
     return moved

@@ -259,11 +259,10 @@ def _seen(
 def _at_best(model: Model, seen: Sequence[Seen], prior: Prior) -> End:
     """The best parameters of runs, one step away."""
     point, values = Weighed(model, tuple(one.errors for one in seen), len(prior.keys)), model.values()
-    width = np.array([prior.sd[key] for key in prior.keys])
-    off = np.array([values[key] - prior.centre[key] for key in prior.keys]) / width
+    width = prior.width(values)
     gram, score = point.normal()
-    score = score - off / width
-    step = np.linalg.lstsq(gram + np.diag(width**-2.0), score, rcond=1e-12)[0]
+    score = score + prior.pull(values) / width
+    step = np.asarray(np.linalg.lstsq(gram + np.diag(width**-2.0), score, rcond=1e-12)[0])
     left = np.concatenate([one.left_white().ravel() for one in seen])
-    cost = point.cost + float(off @ off) - float(score @ step) - float(left @ left)
+    cost = point.cost + prior.penalty(values) - float(score @ step) - float(left @ left)
     return End(cost, step, left)

@@ -63,7 +63,7 @@ def likeliest_lag(point: Weighed, prior: Prior) -> Lag | None:
             continue
         lags, tried = np.arange(-most, most + 1), (2 * most + 1) * len(part.run.channels)
         free = [j for j, k in enumerate(part.mine) if not prior.keys[k].startswith("skew.")]
-        width = np.array([prior.sd[prior.keys[part.mine[j]]] for j in free])
+        width = prior.width(point.model.values())[[part.mine[j] for j in free]]
         for c, channel in enumerate(part.run.channels):
             if channel != "temperature":
                 gains = gains_of_lags(part, c, most, part.columns[:, :, free], width)

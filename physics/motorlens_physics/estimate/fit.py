@@ -206,10 +206,11 @@ def _turned(
         gram, gradient: J^T J (k, k) and J^T e (k,) at the point, with the prior's.
         damping: of the step.
     """
-    keys, values = prior.keys, point.model.values()
-    known = np.array([prior.sd[key] for key in keys]) ** -2.0
+    values = point.model.values()
+    width = prior.width(values)
+    known = width**-2.0
     # What is known of the parameters beforehand does not bend.
-    pull = gradient - known * (_vector(prior.centre, keys) - _vector(values, keys))
+    pull = gradient - prior.pull(values) / width
     along = gram @ step - known * step
     seen, overlap = trial.products_in(point)
     # J^T q, a, e^T (e - J v), e^T q and q^T q.
@@ -245,13 +246,13 @@ def _seen(point: Point, prior: Prior) -> tuple[Array, Array, float, Array]:
     Raises:
         ModelError: a response to a parameter is not finite.
     """
-    keys, values = prior.keys, point.model.values()
-    width = np.array([prior.sd[key] for key in keys])
+    values = point.model.values()
+    width = prior.width(values)
     gram, gradient = point.normal()
     if not np.isfinite(gram).all():
         raise ModelError("the model's response to its parameters has no bound; start from other values")
     gram = gram + np.diag(1 / width**2)
-    gradient = gradient + (_vector(prior.centre, keys) - _vector(values, keys)) / width**2
+    gradient = gradient + prior.pull(values) / width
     step = _step(values, prior, gram, gradient, 0.0)
     return gram, gradient, point.cost + prior.penalty(values), step
 

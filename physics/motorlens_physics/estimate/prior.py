@@ -1,8 +1,9 @@
 """What is known of a motor before its recordings are looked at: the motor file, and what anybody knows of motors.
 
 One table and one rule for every command. A parameter with `sd = 0` is known exactly and is never fitted. A stated
-deviation counts as stated. A value without one, or one that was fitted while something was missing from the model, may be
-off by the share of it that the table says. What a file learnt from a recording does not count beside that recording, which
+deviation counts as stated; that a resistance or an inertia is next to nothing is far less likely than that says. A value
+without one, or one that was fitted while something was missing from the model, may be off by the share of it that the
+table says. What a file learnt from a recording does not count beside that recording, which
 would be counted twice; what was stated before does.
 """
 
@@ -10,11 +11,14 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import SETTLED
 from motorlens_physics.estimate.model import Model, parts_of
 from motorlens_physics.estimate.run import FIRST, STATE_OF, Run
 from motorlens_physics.motor_file import Knowledge, MotorFile, Stated
+
+Array = NDArray[np.float64]
 
 # How far from an unsupported value in a motor file a parameter may reasonably be, relative (one standard deviation). A
 # motor file may be rough; copper is copper.
@@ -41,22 +45,60 @@ AMBIENT_SD_K = 10.0
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the parameters being fitted: centre and standard deviation, and what is possible."""
+    """What is known of the parameters being fitted: centre and standard deviation, and what is possible.
+
+    Attributes:
+        centre: what is likeliest.
+        sd: standard deviation there.
+        bounds: what is possible.
+        positive: parameters that cannot be nought: their density is that of a gamma distribution, the others' normal.
+    """
 
     centre: Mapping[str, float]
     sd: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
+    positive: frozenset[str] = frozenset()
 
     @property
     def keys(self) -> tuple[str, ...]:
         """The parameters being fitted."""
         return tuple(self.sd)
 
+    def penalties(self, values: Mapping[str, float]) -> Array:
+        """(k,) of each parameter, twice the negative logarithm of its density over that at the centre.
+
+        >>> inertia = Prior({"J": 2.0}, {"J": 1.0}, {"J": (0.0, 9.0)}, frozenset({"J"}))
+        >>> inertia.penalties({"J": 2.2}).round(3), inertia.penalties({"J": 0.02}).round(1)
+        (array([0.038]), array([28.9]))
+        """
+
+        def of(key: str, width: float) -> float:
+            if key not in self.positive:
+                return float(((values[key] - self.centre[key]) / width) ** 2)
+            share = values[key] / self.centre[key]
+            return 2 * (self.centre[key] / width) ** 2 * (share - 1 - float(np.log(share)))
+
+        return np.array([of(key, width) for key, width in self.sd.items()], dtype=np.float64)
+
+    def width(self, values: Mapping[str, float]) -> Array:
+        """(k,) one over the root of half the curvature of each penalty, there."""
+        wide = [
+            width * (values[key] / self.centre[key] if key in self.positive else 1.0)
+            for key, width in self.sd.items()
+        ]
+        return np.array(wide, dtype=np.float64)
+
+    def pull(self, values: Mapping[str, float]) -> Array:
+        """(k,) half the slope of each penalty, towards the centre, in terms of that width."""
+        towards = [(self.centre[key] - values[key]) / width for key, width in self.sd.items()]
+        return np.array(towards, dtype=np.float64)
+
     def joined(self, other: "Prior") -> "Prior":
         """Both."""
         return Prior(
-            {**self.centre, **other.centre}, {**self.sd, **other.sd}, {**self.bounds, **other.bounds}
-        )
+            {**self.centre, **other.centre}, {**self.sd, **other.sd}, {**self.bounds, **other.bounds},
+            self.positive | other.positive,
+        )  # fmt: skip
 
     def only(self, keys: Sequence[str]) -> "Prior":
         """Of some parameters."""
@@ -64,11 +106,12 @@ class Prior:
             {key: self.centre[key] for key in keys},
             {key: self.sd[key] for key in keys},
             {key: self.bounds[key] for key in keys},
+            self.positive & frozenset(keys),
         )
 
     def penalty(self, values: Mapping[str, float]) -> float:
-        """Squared distance of values from the centre, in standard deviations."""
-        return sum(((values[key] - self.centre[key]) / width) ** 2 for key, width in self.sd.items())
+        """Of all of them; near the centre the squared distance from it, in standard deviations."""
+        return float(np.sum(self.penalties(values)))
 
 
 NOTHING = Prior({}, {}, {})
@@ -94,7 +137,8 @@ def textbook_prior(file: MotorFile, recordings: Set[str] = frozenset()) -> Prior
         if known.sd == 0:
             continue
         bounds = (max(meaning.bounds[0], LEAST * known.value), meaning.bounds[1])
-        prior = prior.joined(Prior({key: known.value}, {key: known.sd}, {key: bounds}))
+        positive = frozenset({key} if bounds[0] > 0 else ())
+        prior = prior.joined(Prior({key: known.value}, {key: known.sd}, {key: bounds}, positive))
     return prior
 
 

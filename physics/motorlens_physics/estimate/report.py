@@ -69,6 +69,8 @@ def findings(fit: Fit) -> Findings:
     prior, file = fit.prior, fit.model.file
     keys = tuple(key for key in prior.keys if "@" not in key)
     fitted, deviation = fit.model.values(), fit.sd()
+    widths = dict(zip(prior.keys, prior.width(fitted), strict=True))
+    penalty = dict(zip(prior.keys, prior.penalties(fitted), strict=True))
     value: dict[str, float] = {}
     sd: dict[str, float] = {}
     untold: dict[str, str] = {}
@@ -78,8 +80,8 @@ def findings(fit: Fit) -> Findings:
         meaning = file.meaning(key)
         centre, width, unit = prior.centre[key], prior.sd[key], meaning.unit
         unit = "" if unit == "1" else f" {unit}"
-        value[key], sd[key] = fitted[key], min(deviation[key], width)
-        left = sd[key] / width
+        value[key], sd[key] = fitted[key], min(deviation[key], widths[key])
+        left = sd[key] / widths[key]
         if left > UNTOLD:
             value[key], sd[key] = centre, width
             untold[key] = (
@@ -97,8 +99,7 @@ def findings(fit: Fit) -> Findings:
                     "or missing from the model"
                 )
         # What the recordings add to the prior moves its centre by as much as its variance shrinks.
-        expected = np.sqrt(max(width**2 - sd[key] ** 2, 0.0))
-        beyond = abs(value[key] - centre) / expected
+        beyond = np.sqrt(penalty[key] / (1 - left**2))
         if beyond >= FAR:
             far[key] = (
                 f"{key}: {value[key]:.4g}{unit} is {beyond:.0f} standard deviations from the motor file's "

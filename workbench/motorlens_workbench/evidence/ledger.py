@@ -270,7 +270,7 @@ def ledger(lines: Sequence[Line], lens: Lens, prior: Prior, hypotheses: Sequence
     Args:
         lines: the runs about one model.
         lens: through what they are seen.
-        prior: of the fitted parameters; a unit of a column is its standard deviation.
+        prior: of the fitted parameters; a unit of a column is a standard deviation where the parameter is.
         hypotheses: to be tested.
     """
     return ledgers(lines, (lens,), prior, hypotheses)[0]
@@ -283,11 +283,11 @@ def ledgers(
     keys, blocks = prior.keys, layout(lines)
     shapes = [(hypothesis, shape) for hypothesis in hypotheses for shape in hypothesis.shapes]
     values = lines[0].model.values()
-    pull = np.array([(prior.centre[key] - values[key]) / prior.sd[key] for key in keys])
+    unit = dict(zip(keys, prior.width(values).tolist(), strict=True))
 
     def of_run(line: Line) -> list[_Sums]:
         own = [rows for r, rows in blocks if r == line.r]
-        return _sums(line, lenses, keys, prior, own, [shape for _, shape in shapes])
+        return _sums(line, lenses, unit, own, [shape for _, shape in shapes])
 
     parts = on_all_cores(of_run, lines)
     made = []
@@ -302,7 +302,8 @@ def ledgers(
             for j, (hypothesis, shape) in enumerate(shapes)
         )
         base = np.concatenate([one.base for one in seen])
-        made.append(Ledger(keys, prior.sd, base, pull, entries, blocks, sum(one.colour for one in seen)))
+        colour = sum(one.colour for one in seen)
+        made.append(Ledger(keys, unit, base, prior.pull(values), entries, blocks, colour))
     return made
 
 
@@ -316,16 +317,19 @@ class _Sums:
 
 
 def _sums(
-    line: Line, lenses: Sequence[Lens], keys: Sequence[str], prior: Prior, blocks: Sequence[slice],
+    line: Line,
+    lenses: Sequence[Lens],
+    units: Mapping[str, float],
+    blocks: Sequence[slice],
     shapes: Sequence[Shape],
-) -> list[_Sums]:  # fmt: skip
-    unit = np.array([prior.sd[key] for key in line.keys])
+) -> list[_Sums]:
+    keys, unit = list(units), np.array([units[key] for key in line.keys])
     filters, made = [], []
     for lens in lenses:
         white, error, colour = lens.white(line)
         wide = np.zeros((*error.shape, len(keys) + 1))
         table = np.concatenate([line.own * unit, error[:, :, None]], axis=2)
-        known = [*(list(keys).index(key) for key in line.keys), len(keys)]
+        known = [*(keys.index(key) for key in line.keys), len(keys)]
         for rows, filtered in zip(blocks, white(table, blocks), strict=True):
             wide[rows, :, known] = filtered
         filters.append((white, wide))

@@ -121,8 +121,8 @@ def parabola(found: Estimate, names: Sequence[str] = (), prior: Prior | None = N
     prior = prior.joined(_priors(file, names).only(switches))
     point = _point(replace(found.fit.model, file=file), found, prior.keys)
     values = point.model.values()
-    width = np.array([prior.sd[key] for key in prior.keys])
-    pull = np.array([(prior.centre[key] - values[key]) / prior.sd[key] ** 2 for key in prior.keys])
+    width = prior.width(values)
+    pull = prior.pull(values) / width
     gram, gradient = point.normal()
     known = np.diag(width**-2)
     own = np.array(["@" in key for key in prior.keys])
