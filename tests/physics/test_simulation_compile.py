@@ -96,7 +96,7 @@ def test_machine_code_does_what_its_source_says_in_python(
 
 
 def _call(step, rest, balance, linear, transfer, x, p, out, a, g, slots, jacobians, over):  # type: ignore[no-untyped-def]
-    n, u = x.size, np.array([200.0, 3.0, 20.0, 50.0, -1.0, 0.1, 5.0, 7.0, 0.0, 0.0, 0.0])
+    n, u = x.size, np.array([200.0, 3.0, 20.0, 0.4, 50.0, -1.0, 0.1, 90.0, 5.0, 7.0, 0.0, 0.0, 0.0])
     step(x, p, 0.5, u, 1e-3, 1.0, 1.0, out[:n], out[n : 2 * n], out[2 * n : 3 * n])
     out[3 * n], out[3 * n + 1], out[3 * n + 2] = rest(x, p, 0.5, u, 0.1)
     out[3 * n + 3], out[3 * n + 4] = balance(x, p, 0.5, u, 0.1, 0.0)
