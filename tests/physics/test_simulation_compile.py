@@ -67,12 +67,13 @@ def test_machine_code_of_a_structure_is_kept(fresh: Path) -> None:
 
 
 @pytest.mark.fit
+@pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("effects", [(), tuple(catalogue().values())])
 def test_machine_code_does_what_its_source_says_in_python(
-    effects: tuple[type[Effect], ...], tmp_path: Path
+    effects: tuple[type[Effect], ...], turned: bool, tmp_path: Path
 ) -> None:
     motor = Motor(effects=tuple(effect.typical(PLATE) for effect in effects))
-    system = trace(motor, forced=True)
+    system = trace(motor, forced=True, turned=turned)
     source = compiling.source(system)
     python: dict[str, Any] = {"math": math, "np": np}
     exec(source, python)
