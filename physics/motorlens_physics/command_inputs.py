@@ -135,10 +135,13 @@ def reading_words(arguments: argparse.Namespace) -> list[str]:
 
 
 def print_notes(recordings: "Sequence[Recording]") -> None:
-    """What was found while reading, one line each."""
+    """What was found while reading, one line each; what holds for several recordings is said once."""
+    names: dict[str, list[str]] = {}
     for recording in recordings:
         for note in recording.notes:
-            print(f"{recording.name}: {note}")
+            names.setdefault(note, []).append(recording.name)
+    for note, (first, *more) in names.items():
+        print(f"{first}{f' and {len(more)} more' if more else ''}: {note}")
 
 
 def no_values(texts: Sequence[str] | None) -> tuple[float, ...] | None:

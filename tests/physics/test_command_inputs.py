@@ -2,11 +2,13 @@
 
 import argparse
 
+import numpy as np
 import pytest
 
 from motorlens_physics import command_inputs
-from motorlens_physics.command_inputs import add_input_arguments, input_words, inputs_from
+from motorlens_physics.command_inputs import add_input_arguments, input_words, inputs_from, print_notes
 from motorlens_physics.motor_file import read_motor_file, to_toml, voltage_commanded, write_motor_file
+from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 
 
@@ -40,6 +42,13 @@ def test_recordings_are_read_as_the_flags_say(tmp_path, monkeypatch):
     assert said == [f"reading {tmp_path / 'r.csv'}"]
     with pytest.raises(DataError, match="write a number"):
         inputs_from(parsed("--motor", "mellah2016", "--no-value=nothing"))
+
+
+def test_what_holds_for_several_recordings_is_said_once(capsys):
+    time, none = np.arange(3.0), {"voltage": np.ones(3)}
+    notes = {"a": ("same", "own"), "b": ("same",), "c": ("other", "same")}
+    print_notes([Recording(f"{name}.csv", time, none, notes=said) for name, said in notes.items()])
+    assert capsys.readouterr().out == "a.csv and 2 more: same\na.csv: own\nc.csv: other\n"
 
 
 def test_a_commanded_voltage_is_a_sensor_without_faults_and_survives_a_round_trip(tmp_path):

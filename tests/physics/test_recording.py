@@ -145,6 +145,16 @@ def test_gaps_dead_and_clipped_channels_are_reported(tmp_path: Path) -> None:
     assert "speed never changes" in notes
 
 
+@pytest.mark.parametrize(
+    ("volts", "turns", "dead"), [(6.0, True, False), (0.0, True, True), (6.0, False, True)]
+)
+def test_a_voltage_that_never_changes_is_a_step_where_the_motor_answers(tmp_path, volts, turns, dead) -> None:
+    rows = "".join(f"{0.01 * k:.2f},{volts},{k if turns else 0}\n" for k in range(50))
+    (tmp_path / "step.csv").write_text("time_s,voltage_V,speed_rad_s\n" + rows)
+    notes = read_recording(tmp_path / "step.csv").notes
+    assert any("voltage never changes" in note for note in notes) == dead
+
+
 def test_written_recordings_read_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     channels = {

@@ -71,6 +71,20 @@ def test_what_a_file_states_is_kept_from_one_addition_to_the_next(rough, one_by_
 
 
 @pytest.mark.fit
+def test_what_is_far_from_the_motor_file_is_said(rough, recording):
+    """In the words of the other commands; a motor constant stated 30 % too low."""
+    ke = 0.7 * rough.motor.ke
+    off = rough.with_values({"ke": ke}, {"ke": Knowledge(KNOWN * ke, "bridge")})
+    said = add(off, ["coulomb_friction"], [recording]).rungs[-1].said
+    assert any(
+        line.startswith("ke: ") and "standard deviations from the motor file's" in line for line in said
+    )
+    assert not any("R_a0: " in line and "standard deviations" in line for line in said)
+    none = add(rough, ["coulomb_friction"], [recording]).rungs[-1].said
+    assert not any("standard deviations from the motor file's" in line for line in none)
+
+
+@pytest.mark.fit
 def test_several_at_once_are_what_they_are_one_after_the_other(rough, recording, one_by_one):
     """As far as fits go to the end (`weighed.CLOSE`)."""
     both, last = add(rough, [key.partition(".")[0] for key in SIZES], [recording]), one_by_one[-1]

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
 from motorlens_physics.estimate.prior import FITTED, base_prior, nuisance_prior, stated
+from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
@@ -41,12 +43,14 @@ class Rung:
         file: fitted.
         held_out: RMSE of each channel on blocks of time held out.
         judged: RMSE of each channel on recordings that were not fitted, run freely, see `judged`; empty without any.
+        said: what the fit says of its parameters, sentences, see `Findings`.
     """
 
     added: str
     file: MotorFile
     held_out: Mapping[str, float]
     judged: Mapping[str, float]
+    said: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -269,7 +273,8 @@ def _described(
             kept = before and replace(before, value=fitted.prior.centre[key])
             known[key] = Knowledge(spread[key], source, prior=kept)
     file = file.with_values({}, known)
-    return Rung(added, file, held_out(book, lines), judged(file, judge, differing))
+    said = findings(Fit(fitted.model, fitted.prior, fitted.covariance, ())).in_short
+    return Rung(added, file, held_out(book, lines), judged(file, judge, differing), said)
 
 
 def judged(

@@ -264,13 +264,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         )
     said += [_only_together(one, names) for one in held if (names := told_together(found, one))]
     said += [_refused(found, name) for name in refused]
-    told = findings(_as_fit(found))
-    if told.untold:
-        # One sentence: which they are is all that matters here, and a table has the values.
-        said.append(
-            f"These recordings do not tell {', '.join(told.untold)}: nothing but what was known before stands behind them."
-        )
-    return [*said, *told.once, *told.confounded, *told.at_bound.values(), *told.far.values()]
+    return [*said, *findings(_as_fit(found)).in_short]
 
 
 def _as_fit(found: Finding) -> Fit:

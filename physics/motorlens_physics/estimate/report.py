@@ -63,6 +63,16 @@ class Findings:
             *self.once, *self.untold.values(), *self.confounded, *self.at_bound.values(), *self.far.values()
         )  # fmt: skip
 
+    @property
+    def in_short(self) -> tuple[str, ...]:
+        """The same, with one sentence on what is not told, for where a table has the values."""
+        names = ", ".join(self.untold)
+        untold = (
+            f"These recordings do not tell {names}: nothing but what was known before stands behind them."
+        )
+        further = (*self.once, *self.confounded, *self.at_bound.values(), *self.far.values())
+        return (untold, *further) if names else further
+
 
 def findings(fit: Fit) -> Findings:
     """Judge a fit's parameters; nuisances of single recordings are not the motor's and are left out."""

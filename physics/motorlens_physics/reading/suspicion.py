@@ -121,6 +121,8 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                 "unit?"
             )
         if np.nanmin(y) == np.nanmax(y):
+            if quantity == "voltage" and y[0] != 0 and _answered(channels):
+                continue  # a step that is commanded
             notes.append(f"{quantity} never changes ({np.nanmin(y) + 0.0:g}): a dead channel?")
             continue
         for limit in (np.nanmin(y), np.nanmax(y)):
@@ -132,6 +134,11 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                     f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
                 )
     return notes + standstill(channels) + signs(channels) + pace(time, channels)
+
+
+def _answered(channels: Mapping[str, Array]) -> bool:
+    """Whether a motor answers to its voltage: its current or its speed changes."""
+    return any(np.nanmin(y) < np.nanmax(y) for name, y in channels.items() if name in ("current", "speed"))
 
 
 def standstill(channels: Mapping[str, Array]) -> list[str]:

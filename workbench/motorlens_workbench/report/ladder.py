@@ -31,6 +31,7 @@ def to_json(found: Ladder, effects: Sequence[str], motor: str, written: str | No
             {"added": rung.added, "held_out": dict(rung.held_out), "judged": dict(rung.judged)} for rung in found.rungs
         ],
         "noise_floor": dict(found.noise_floor),
+        "said": list(found.rungs[-1].said),
         "parameters": {
             key: {
                 "value": value,
@@ -90,7 +91,7 @@ def to_text(document: dict[str, Any]) -> str:
     for key, entry in document["parameters"].items():
         spread = f"{entry['sd']:>12.2g}" if entry["sd"] is not None else " " * 12
         rows.append(f"{key:<34}{entry['value']:>14.5g}{spread} {unit_text(entry['unit'])}".rstrip())
-    return "\n".join(rows)
+    return "\n".join([*rows, "", *document["said"]] if document["said"] else rows)
 
 
 def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = ()) -> Page:
@@ -122,9 +123,8 @@ def to_html(document: dict[str, Any], command: str, overlays: Sequence[Plot] = (
         headings = ["model", *(f"{c}, {UNIT_OF.get(c, '')}" for c in channels)]
         caption = "Run freely from the first samples, rms."
         sections.append(Section("On recordings that were not fitted", [Table(headings, judged, caption)]))
-    sections.append(
-        Section("Parameters", [Table(["parameter", "value", "standard deviation", "unit"], rows_)])
-    )
+    parameters = Table(["parameter", "value", "standard deviation", "unit"], rows_)
+    sections.append(Section("Parameters", [parameters, *document["said"]]))
     return Page(f"motorlens add {document['effect']}", sentence(document), [], sections, [command])
 
 
