@@ -3,7 +3,7 @@
 import pytest
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.columns import understand
+from motorlens_runtime.files.columns import speed_of, understand
 from motorlens_runtime.files.headings import candidates
 
 
@@ -48,6 +48,16 @@ def test_of_two_columns_the_one_named_as_usual_is_taken():
         understand(["I/A", "Current, A"], {}, "f")
 
 
+def test_steps_of_an_encoder_are_no_speed_but_give_one():
+    (formula,) = speed_of(["Time (s)", "Speed (steps/s)"])
+    assert formula == 'speed="Speed (steps/s)"/1024[counts/rev]'
+    assert "speed" not in understand(["Voltage (V)", "Speed (steps/s)"], {}, "f")
+    found = understand(["Voltage (V)", "Speed (steps/s)"], {"speed": formula.removeprefix("speed=")}, "f")
+    assert "speed" in found
+
+
 def test_an_unknown_unit_is_said():
+    with pytest.raises(DataError, match=r"in the place of UNIT: --column 'speed=\"speed_mph\" \[UNIT\]'"):
+        understand(["speed_mph"], {}, "f")
     with pytest.raises(DataError, match="f: column 'speed_mph': unknown unit 'mph' for speed; known: rad/s"):
         understand(["speed_mph"], {}, "f")

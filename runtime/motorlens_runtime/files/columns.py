@@ -40,6 +40,7 @@ _TIES = {
         "angle={}/1024[counts/rev]",
         "counts are an angle, and the speed follows from that",
     ),
+    ("speed", "counts/s"): ("{}/1024[counts/rev]", "divide it by the counts of a revolution"),
     ("angle", "counts"): ("{}/1024[counts/rev]", "divide it by the counts of a revolution"),
     ("voltage", "1"): ("{}*SUPPLY_V/100", "multiply it by the supply"),
     ("load_torque", "N"): ("{}*0.1[m]", "multiply it by the lever"),
@@ -248,10 +249,15 @@ def speed_of(headings: Sequence[str]) -> list[str]:
     for heading in headings:
         unit = unit_in(heading)
         of = "" if unit is None else name_of(unit.dimension)
-        if of in ("counts", "m/s"):
-            formula = _TIES["speed", of][0].format(heading)
+        if of in ("counts", "counts/s", "m/s"):
+            formula = _TIES["speed", of][0].format(_in_formula(heading))
             found.append(formula if "=" in formula else f"speed={formula}")
     return found
+
+
+def _in_formula(heading: str) -> str:
+    """A heading as formulas have it: in quotes unless it is one word."""
+    return heading if re.fullmatch(r"\w+", heading) else f'"{heading}"'
 
 
 def _tie(quantity: str, heading: str, unit: Unit) -> str:
@@ -260,7 +266,8 @@ def _tie(quantity: str, heading: str, unit: Unit) -> str:
     )
     formula = formula if "=" in formula else f"{quantity}={formula}"
     stated = f"{quantity}_{QUANTITIES[quantity][0]}={heading}"
-    return f"{meaning}, as in --column '{formula.format(heading)}', or, if the heading misleads, say so: --column '{stated}'"
+    example = formula.format(_in_formula(heading))
+    return f"{meaning}, as in --column '{example}', or, if the heading misleads, say so: --column '{stated}'"
 
 
 def _computed(text: str, headings: Sequence[str], quantity: str, unit: str | None, where: str) -> Column:
@@ -293,8 +300,9 @@ def _column(index: int, heading: str, quantity: str, unit: str, where: str) -> C
         return Column(index, heading, quantity, 1.0, 0.0, assumed=quantity not in WORDS)
     found = conversion(canonical, unit)
     if found is None:
+        example = f'{quantity}="{heading}" [UNIT]'
         raise DataError(
             f"{where}: column {heading!r}: unknown unit {unit!r} for {quantity}; known: {_OFFERED[canonical]}; say which it "
-            f"is: --column {shlex.quote(f'{canonical_name(quantity)}={heading}')}"
+            f"is in the place of UNIT: --column {shlex.quote(example)}"
         )
     return Column(index, heading, quantity, *found)

@@ -55,7 +55,7 @@ def _atoms() -> dict[str, Unit]:
     found |= dict.fromkeys(("C", "degC", "°C", "ºC"), k)
     found |= dict.fromkeys(("F", "degF", "°F", "ºF"), replace(k, factor=5 / 9, offset=-160 / 9))
     found |= dict.fromkeys(
-        ("count", "counts", "cts", "tick", "ticks", "pulse", "pulses", "LSB", "lsb"), count
+        ("count", "counts", "cts", "tick", "ticks", "pulse", "pulses", "step", "steps", "LSB", "lsb"), count
     )
     rpm = replace(rad / s, factor=_PI / 30)
     found |= dict.fromkeys(("rpm", "RPM", "Rpm", "1/min", "min-1", "min^-1", "U/min", "tr/min", "r/min"), rpm)
@@ -155,7 +155,22 @@ def in_heading(text: str) -> Unit | None:
 
 def name_of(dimension: Dimension) -> str:
     """How a dimension is written: `V`, `rad/s`, or in base units."""
-    for name in ("V", "A", "ohm", "s", "W", "N*m", "N", "m/s", "rad/s", "rad", "V*s", "V*s/rad", "counts"):
+    for name in (
+        "V",
+        "A",
+        "ohm",
+        "s",
+        "W",
+        "N*m",
+        "N",
+        "m/s",
+        "rad/s",
+        "rad",
+        "V*s",
+        "V*s/rad",
+        "counts",
+        "counts/s",
+    ):
         unit = parse(name)
         if unit is not None and unit.dimension == dimension:
             return name
