@@ -11,7 +11,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.innovations import read
 from motorlens_physics.estimate.model import error_of, predict
 from motorlens_physics.estimate.noise import UNEXPLAINED, Noise
-from motorlens_physics.estimate.noise_likelihood import likelier, of_torque
+from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import moved_on
@@ -280,9 +280,7 @@ def _challenger(
         return None
     own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis)).doubted(score.doubt)
     each = zip(seen.lines, found, rests, strict=True)
-    won = unlikely - sum(
-        float(np.sum(_unlikely(line, noise, rest))) + of_torque(noise) for line, noise, rest in each
-    )
+    won = unlikely - sum(float(np.sum(_unlikely(line, noise, rest))) for line, noise, rest in each)
     if not own.entry.hypothesis.named:
         # Under a noise of its own a term may seem to win what it has lost by parting with a likelier noise. What a name wins
         # is told when it is fitted in full: far from null the linearised problem leaves more than the name does.
@@ -292,11 +290,10 @@ def _challenger(
 
 def unlikelihood(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence[Array]) -> float:
     """Twice the negative logarithmic likelihood of what is left (N, C) of each run, as noise."""
-    total = 0.0
-    for noise, line, rest in zip(noises, lines, rests, strict=True):
-        likeliest = _likeliest(noise, line, rest)
-        total += float(np.sum(_unlikely(line, likeliest, rest))) + of_torque(likeliest)
-    return total
+    return sum(
+        float(np.sum(_unlikely(line, _likeliest(noise, line, rest), rest)))
+        for noise, line, rest in zip(noises, lines, rests, strict=True)
+    )
 
 
 def _no_more_than(noise: Noise, other: Noise) -> Noise:

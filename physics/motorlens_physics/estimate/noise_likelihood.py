@@ -48,9 +48,6 @@ ENOUGH = 0.0025
 # Any share of what is rough of a measured input may be noise, each as likely as another. On the scale of logarithms, on
 # which variances are sought, twice the logarithm of that density rises by so many times the logarithm of the variance.
 UNIFORM = 2.0
-# The torque that nobody measured is a small one, where nothing is missing: its standard deviation is half-normal, of this
-# share of the rated torque. Any larger one would pass for friction, and friction for it.
-UNMEASURED = 0.05
 # An extrapolation takes updates to shorten by this share at the slowest, and goes this far in the logarithm.
 SLOWEST, FARTHEST = 0.95, 3.0
 
@@ -60,7 +57,7 @@ def likelier(
 ) -> tuple[Noise, float]:
     """Noise under which the errors (N, C) are likelier, and twice their negative logarithmic likelihood.
 
-    What is known beforehand of the inputs' noise (`UNIFORM`) and of the unmeasured torque (`of_torque`) is part of it.
+    What is known beforehand of the inputs' noise (`UNIFORM`) is part of it.
 
     Of both, samples tell at which the recording does not rest (`Run.rests`).
 
@@ -103,16 +100,9 @@ def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[N
     measured = noise.of_measured_inputs
     inputs[0, measured] += UNIFORM / noise.disturbances[measured]
     total -= UNIFORM * float(np.sum(np.log(noise.disturbances[measured] / noise.most[measured])))
-    inputs[1, TORQUE] += 1 / (UNMEASURED**2 * noise.most[TORQUE])
-    total += of_torque(noise)
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
     ratio = _ratio(inputs[:, : len(noise.disturbances)])
     return noise.within(noise.channels * _ratio(sensors), noise.disturbances * ratio), total
-
-
-def of_torque(noise: Noise) -> float:
-    """How unlikely the unmeasured torque of a noise is beforehand: twice the negative logarithm, nought for none."""
-    return float(noise.disturbances[TORQUE] / (UNMEASURED**2 * noise.most[TORQUE]))
 
 
 def _leap(before: Noise, between: Noise, after: Noise) -> Noise:
