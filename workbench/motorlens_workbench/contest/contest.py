@@ -22,6 +22,7 @@ from motorlens_workbench.contest.needed import (
     unseen,
 )
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
+from motorlens_workbench.contest.together import enter_two
 from motorlens_workbench.contest.worth import agreement, held_score
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted, Fitted
@@ -105,6 +106,8 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
                 here, accepted = _needed(here, accepted, own, say)
         elif not (step.refused or step.estimated):
             break
+    if not accepted and not follows(here):
+        here, accepted = enter_two(here, attempts, own, say) or (here, accepted)
     if _remains(here, accepted, refused) and nameless is not None and _imitate(nameless[0], here):
         here, accepted = nameless
     here, accepted = exchanged(here, accepted, own, say)
