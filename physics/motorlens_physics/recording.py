@@ -1,8 +1,8 @@
 """Recordings: measured or simulated channels over time, in SI, with what was found wrong with them in words.
 
 Files are read by `motorlens_physics.reading`; columns are recognised, computed and converted by
-`motorlens_runtime.files.columns`. Time and voltage are required; every other channel is optional, and what is absent limits
-what can be concluded.
+`motorlens_runtime.files.columns`. Time is required, and a voltage where it drives the terminals; every other channel is
+optional, and what is absent limits what can be concluded.
 """
 
 import shlex
@@ -117,7 +117,8 @@ def read_recording(
         chosen = tomllib.loads(beside.read_text(encoding="utf-8")).get("columns", {}) | chosen
     table = read_table(path)
     columns = understand(table.headings, chosen, str(path))
-    require(columns, ("time", "voltage"), table.headings, str(path))
+    tied = "terminal" in columns
+    require(columns, ("time",) if tied else ("time", "voltage"), table.headings, str(path))
     used = sorted({index for column in columns.values() for index in column.uses})
     numbers = table.numbers(used)
     if columns["time"].index in table.dated and not columns["time"].formula:
@@ -257,7 +258,7 @@ class _Reader:
 
     def recording(self, table: dict[str, Array], no_values: Iterable[float] | None) -> Recording:
         """The checked recording."""
-        table = self._without_words(self._in_reach(table), no_values)
+        table = self._where_driven(self._without_words(self._in_reach(table), no_values))
         rows = len(table["time"])
         table = self._in_time(table)
         if len(table["time"]) == rows:  # those that were dropped have been told
@@ -309,7 +310,7 @@ class _Reader:
             if quantity == "time" or quantity in WORDS:
                 continue
             column, y = self.columns[quantity], table[quantity]
-            voltage = None if quantity in INPUTS else cleaned["voltage"]
+            voltage = None if quantity in INPUTS else cleaned.get("voltage")
             if voltage is not None:
                 finite = np.isfinite(voltage)
                 voltage = (
@@ -323,6 +324,17 @@ class _Reader:
                     'samples that stand out: taken for "no value" (if it was measured: --no-value none)'
                 )
         return cleaned
+
+    def _where_driven(self, table: dict[str, Array]) -> dict[str, Array]:
+        """With a voltage where none drives the terminals: it need not be measured there, and counts for nothing."""
+        if "terminal" not in table:
+            return table
+        driven = table["terminal"] == Terminal.DRIVEN
+        if "voltage" not in table and driven.any():
+            row = self._row(int(np.argmax(driven)))
+            raise DataError(f"{self.path}: no voltage column, and from row {row} on the terminals are driven")
+        voltage = table.get("voltage", np.full(len(driven), np.nan))
+        return table | {"voltage": np.where(driven | np.isfinite(voltage), voltage, 0.0)}
 
     def _in_time(self, table: dict[str, Array]) -> dict[str, Array]:
         """Rows in the order of time: by the steady clock behind poor stamps, or without the few that run back."""

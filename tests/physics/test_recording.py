@@ -145,6 +145,24 @@ def test_gaps_dead_and_clipped_channels_are_reported(tmp_path: Path) -> None:
     assert "speed never changes" in notes
 
 
+def test_a_voltage_is_needed_only_where_it_drives_the_terminals(tmp_path) -> None:
+    def read(heading: str, row) -> Recording:
+        lines = [heading, *(row(k) for k in range(60))]
+        (tmp_path / "r.csv").write_text("\n".join(lines) + "\n")
+        return read_recording(tmp_path / "r.csv")
+
+    none = read("time_s,current_A,speed_rad_s,terminal", lambda k: f"{k},{1 + k % 3},{k},current")
+    assert (none.channels["voltage"] == 0).all() and none.channels["current"][2] == 3
+    some = read(
+        "time_s,voltage_V,speed_rad_s,terminal", lambda k: f"{k},,{k},open" if k > 20 else f"{k},6,{k},driven"
+    )
+    assert (some.channels["voltage"] == np.where(np.arange(60) > 20, 0.0, 6.0)).all()
+    with pytest.raises(DataError, match="no voltage column, and from row 32 on the terminals are driven"):
+        read("time_s,speed_rad_s,terminal", lambda k: f"{k},{k},{'open' if k < 30 else 'driven'}")
+    with pytest.raises(DataError, match=r"no voltage column \(voltage_V\)"):
+        read("time_s,speed_rad_s", lambda k: f"{k},{k}")
+
+
 @pytest.mark.parametrize(
     ("volts", "turns", "dead"), [(6.0, True, False), (0.0, True, True), (6.0, False, True)]
 )

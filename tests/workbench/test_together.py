@@ -19,7 +19,13 @@ from motorlens_workbench.standing import Standing, stand
 
 BRIDGE = "coasting_bridge"
 # What a voltage and a speed do not tell apart.
-FRICTION = {"coulomb_friction", "hysteresis_iron_loss", "brush_voltage_drop", "dead_time", "stribeck_friction"}
+FRICTION = {
+    "coulomb_friction",
+    "hysteresis_iron_loss",
+    "brush_voltage_drop",
+    "dead_time",
+    "stribeck_friction",
+}
 
 
 @pytest.fixture(scope="module")

@@ -121,7 +121,7 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                 "unit?"
             )
         if np.nanmin(y) == np.nanmax(y):
-            if quantity == "voltage" and y[0] != 0 and _answered(channels):
+            if quantity == "voltage" and (not _drives(channels) or (y[0] != 0 and _answered(channels))):
                 continue  # a step that is commanded
             notes.append(f"{quantity} never changes ({np.nanmin(y) + 0.0:g}): a dead channel?")
             continue
@@ -134,6 +134,11 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                     f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
                 )
     return notes + standstill(channels) + signs(channels) + pace(time, channels)
+
+
+def _drives(channels: Mapping[str, Array]) -> bool:
+    """Whether the voltage drives the terminals at any time."""
+    return "terminal" not in channels or bool(np.any(channels["terminal"] == Terminal.DRIVEN))
 
 
 def _answered(channels: Mapping[str, Array]) -> bool:

@@ -23,8 +23,8 @@ from motorlens_workbench.refit import settled, with_hypothesis, without_hypothes
 from motorlens_workbench.standing import Standing, likelier_by_block, stand
 from motorlens_workbench.telling import Progress
 
-# Rivals that are fitted in the place of one name.
-TRIED = 6
+# Rivals that are fitted in the place of one name, at most.
+TRIED = 12
 # A probability too small to be told from nought.
 TINY = 1e-300
 
@@ -73,7 +73,9 @@ def _likelier(
     likelier = float(np.clip(likelier, -agreed, agreed))
     likelier += log_shape(other, there.fitted) - log_shape(one, here.fitted)
     if likelier > 0:
-        return there, replace(new, instead={one.name: -likelier})
+        # What cannot stand there at all cannot in the place of the new one.
+        never = {less: how for less, how in accepted.instead.items() if how == -np.inf}
+        return there, replace(new, instead={**never, one.name: -likelier})
     return here, replace(accepted, instead={**accepted.instead, name: min(likelier, 0.0)})
 
 
