@@ -264,6 +264,26 @@ def test_errors_of_a_fifth_of_all_folds_are_those_of_parameters_fitted_to_the_ot
         assert found[~kept, 0] == pytest.approx((error - base @ fitted)[~kept], abs=1e-9)
 
 
+def test_what_is_left_is_shared_out_to_recordings_in_units_of_their_noise():
+    """Of two runs one is twice as far off in a channel of half the noise: 16 of 17 parts of the squares."""
+    from types import SimpleNamespace
+
+    from motorlens_workbench.evidence.held_out import by_run
+
+    book, there = book_of(np.zeros((ROWS, 0)), [], np.zeros(ROWS)), np.ones((ROWS, 1), dtype=bool)
+    lines = [
+        SimpleNamespace(
+            error=np.full((ROWS, 1), error), own=np.zeros((ROWS, 1, 0)), keys=(), r=r,
+            run=SimpleNamespace(channels=(channel,), there=there, noise=None),
+        )
+        for r, (channel, error) in enumerate((("current", 1.0), ("speed", 2.0)))
+    ]  # fmt: skip
+    blocks = tuple((r, rows) for r in range(2) for _, rows in book.blocks)
+    book = replace(book, blocks=blocks, base=np.concatenate([book.base, book.base]))
+    found = by_run(book, lines, {"current": 1.0, "speed": 0.5})
+    np.testing.assert_allclose(found, [1 / 17, 16 / 17])
+
+
 def test_a_named_size_beyond_physics_is_not_possible():
     rng = np.random.default_rng(7)
     column = 1e-3 * rng.standard_normal((ROWS, 1))

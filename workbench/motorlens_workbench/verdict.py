@@ -15,7 +15,7 @@ from motorlens_workbench.contest.rivals import Rivals
 from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import CRITERIA, INTERVAL
 from motorlens_workbench.diagnose import Finding
-from motorlens_workbench.evidence.held_out import fitted_errors
+from motorlens_workbench.evidence.held_out import by_run, fitted_errors
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing
@@ -258,6 +258,10 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         said.append(
             f"The model is {times:.3g} times the noise off on what it was not fitted to: {why} that no hypothesis explains."
         )
+        shares = by_run(last.book, last.lines, last.floor)
+        if len(shares) > 1 and shares.max() > 0.5:
+            worst = found.runs[int(np.argmax(shares))].name
+            said.append(f"Most of that, {shares.max():.0%} of the squares, is in {worst}.")
     elif last.book.colour > CRITERIA.white:
         said.append(
             f"What the model leaves is correlated as no noise of the sensors is: {why} that is not named here."

@@ -81,9 +81,28 @@ def pooled_floor(uncorrected: Sequence[Line]) -> dict[str, float]:
 
 def times_noise(book: Ledger, lines: Sequence[Line], floor: Mapping[str, float]) -> float:
     """The worst channel's error on blocks held out, over its noise, which is no smaller than is believed of a recording."""
+    noise = _believed(lines, floor)
+    return max(error / noise[channel] for channel, error in held_out(book, lines).items())
+
+
+def by_run(book: Ledger, lines: Sequence[Line], floor: Mapping[str, float]) -> Array:
+    """(R,) the share that each run has of the squared errors on blocks held out, over the noise of their channels."""
+    noise = _believed(lines, floor)
+    squares = [
+        sum(
+            float(np.sum(error[line.run.there[:, c], c] ** 2)) / noise[channel] ** 2
+            for c, channel in enumerate(line.run.channels)
+        )
+        for line, error in zip(lines, held_out_errors(book, lines), strict=True)
+    ]
+    return np.asarray(squares) / max(sum(squares), 1e-300)
+
+
+def _believed(lines: Sequence[Line], floor: Mapping[str, float]) -> dict[str, float]:
+    """The noise of each channel, no smaller than is believed of a recording."""
     noise = dict(floor)
     for run in (line.run for line in lines):
         if run.noise is not None:
             believed = zip(run.channels, np.sqrt(run.noise.floor + run.steps**2 / 12).tolist(), strict=True)
             noise |= {channel: max(noise[channel], least) for channel, least in believed}
-    return max(error / noise[channel] for channel, error in held_out(book, lines).items())
+    return noise
