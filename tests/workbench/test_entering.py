@@ -72,7 +72,7 @@ def test_of_two_fits_of_a_model_that_stands_which_is_likelier_with_all_that_is_k
 
     def known(deviations: float) -> entering.Fitted:
         """The fit, as if a parameter were known to be so far from where it is."""
-        centre = {**stood.prior.centre, key: values[key] + deviations * sd}
+        centre = {**stood.prior.centre, key: values[key] - deviations * sd}
         return replace(stood, prior=replace(stood.prior, centre=centre))
 
     start = 0.0 if away > 0 else 3.0

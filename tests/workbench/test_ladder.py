@@ -72,16 +72,12 @@ def test_what_a_file_states_is_kept_from_one_addition_to_the_next(rough, one_by_
 
 @pytest.mark.fit
 def test_what_is_far_from_the_motor_file_is_said(rough, recording):
-    """In the words of the other commands; a motor constant stated 30 % too low."""
-    ke = 0.7 * rough.motor.ke
-    off = rough.with_values({"ke": ke}, {"ke": Knowledge(KNOWN * ke, "bridge")})
+    """In the words of the other commands; an inertia stated a third too low."""
+    wrong, far = 0.02, "standard deviations from the motor file's"
+    off = rough.with_values({"J": wrong}, {"J": Knowledge(0.03 * wrong, "drawing")})
     said = add(off, ["coulomb_friction"], [recording]).rungs[-1].said
-    assert any(
-        line.startswith("ke: ") and "standard deviations from the motor file's" in line for line in said
-    )
-    assert not any("R_a0: " in line and "standard deviations" in line for line in said)
-    none = add(rough, ["coulomb_friction"], [recording]).rungs[-1].said
-    assert not any("standard deviations from the motor file's" in line for line in none)
+    assert any(line.startswith("J: ") and far in line for line in said)
+    assert not any(far in line for line in add(rough, ["coulomb_friction"], [recording]).rungs[-1].said)
 
 
 @pytest.mark.fit

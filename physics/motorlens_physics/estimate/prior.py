@@ -51,7 +51,8 @@ class Prior:
         centre: what is likeliest.
         sd: standard deviation there.
         bounds: what is possible.
-        positive: parameters that cannot be nought: their density is that of a gamma distribution, the others' normal.
+        positive: parameters that cannot be nought. All are normal, but below their centre these have the density of a gamma
+            distribution of the same curvature there, which has nothing at nought.
     """
 
     centre: Mapping[str, float]
@@ -68,22 +69,23 @@ class Prior:
         """(k,) of each parameter, twice the negative logarithm of its density over that at the centre.
 
         >>> inertia = Prior({"J": 2.0}, {"J": 1.0}, {"J": (0.0, 9.0)}, frozenset({"J"}))
-        >>> inertia.penalties({"J": 2.2}).round(3), inertia.penalties({"J": 0.02}).round(1)
-        (array([0.038]), array([28.9]))
+        >>> inertia.penalties({"J": 3.0}).round(1), inertia.penalties({"J": 0.02}).round(1)
+        (array([1.]), array([28.9]))
         """
 
         def of(key: str, width: float) -> float:
-            if key not in self.positive:
-                return float(((values[key] - self.centre[key]) / width) ** 2)
-            share = values[key] / self.centre[key]
-            return 2 * (self.centre[key] / width) ** 2 * (share - 1 - float(np.log(share)))
+            value, centre = values[key], self.centre[key]
+            if key in self.positive and value < centre:
+                share = value / centre
+                return 2 * (centre / width) ** 2 * (share - 1 - float(np.log(share)))
+            return float(((value - centre) / width) ** 2)
 
         return np.array([of(key, width) for key, width in self.sd.items()], dtype=np.float64)
 
     def width(self, values: Mapping[str, float]) -> Array:
         """(k,) one over the root of half the curvature of each penalty, there."""
         wide = [
-            width * (values[key] / self.centre[key] if key in self.positive else 1.0)
+            width * (min(values[key] / self.centre[key], 1.0) if key in self.positive else 1.0)
             for key, width in self.sd.items()
         ]
         return np.array(wide, dtype=np.float64)

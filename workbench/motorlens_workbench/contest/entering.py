@@ -62,11 +62,20 @@ class Step:
         best = other if other.unlikely < self.unlikely else self
         return replace(
             best,
+            accepted=_knowing(best.accepted, self.accepted, other.accepted),
             refused=(*self.refused, *other.refused),
             estimated=(*self.estimated, *other.estimated),
             judged=judged,
             attempts=attempts,
         )
+
+
+def _knowing(best: Accepted | None, *others: Accepted | None) -> Accepted | None:
+    """What has been accepted, with what each attempt to add it has shown of names beside it."""
+    if best is None:
+        return None
+    alike = [one.beside for one in others if one is not None and one.hypothesis.name == best.hypothesis.name]
+    return replace(best, beside={name: less for beside in alike for name, less in beside.items()})
 
 
 Judged = tuple[Mapping[str, float], Mapping[str, Attempt]]

@@ -73,9 +73,12 @@ def _likelier(
     likelier = float(np.clip(likelier, -agreed, agreed))
     likelier += log_shape(other, there.fitted) - log_shape(one, here.fitted)
     if likelier > 0:
-        # What cannot stand there at all cannot in the place of the new one.
-        never = {less: how for less, how in accepted.instead.items() if how == -np.inf}
-        return there, replace(new, instead={**never, one.name: -likelier})
+        # What others were worth beside the one they are worth as much less beside the likelier.
+        instead, beside = (
+            {known: how - likelier for known, how in of.items() if known != name}
+            for of in (accepted.instead, accepted.beside)
+        )
+        return there, replace(new, instead={**instead, one.name: -likelier}, beside=beside)
     return here, replace(accepted, instead={**accepted.instead, name: min(likelier, 0.0)})
 
 
