@@ -130,7 +130,7 @@ def add(
             why = f"no model with {name} could be simulated"
             return Ladder(tuple(rungs), k, here.floor, score.weight, False, why)
         end = settled(found)
-        here = stand(from_the_beginning(here, end) or end, own)
+        here = stand(from_the_beginning(here, end, score) or end, own)
         added.append(score)
         rungs.append(_described(name, here.fitted, here.book, here.lines, judge, recordings, differing))
     say(f"judging {' and '.join(names)}")

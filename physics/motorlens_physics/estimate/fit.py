@@ -124,8 +124,8 @@ def minimise(
         progress: told how far there is to go.
 
     Returns:
-        the last point, or the one before if that is close enough and no step gets shorter, J^T J there with the prior's
-        (k, k), and how far from the minimum it is.
+        the last point, or the one before if that is close enough and no step gets shorter, J^T J there with the deviations
+        that the prior states (k, k), and how far from the minimum it is.
 
     Raises:
         ModelError: the way leads where nothing can be simulated.
@@ -157,7 +157,7 @@ def minimise(
         if left < enough:
             break
         if before[2] <= min(left, CONVERGED):
-            return before
+            return _as_stated(*before, prior)
         # What `between` found is a step old: where the minimum moves with it, steps swing about the end and get no shorter.
         if before[2] <= left and not swings:
             swings, point = True, anew(point)
@@ -188,7 +188,13 @@ def minimise(
             break
         damping = max(damping / 10, 1e-9)
         progress(f"step {k + 1}: {left:.3g} standard deviations to go")
-    return point, gram, left
+    return _as_stated(point, gram, left, prior)
+
+
+def _as_stated(point: P, gram: Array, left: float, prior: Prior) -> tuple[P, Array, float]:
+    """Where it ends. That a parameter is hardly next to nothing tells steps where to go, not how certain it is."""
+    known = np.array([prior.sd[key] for key in prior.keys]) ** -2.0
+    return point, gram + np.diag(known - prior.width(point.model.values()) ** -2.0), left
 
 
 def _turned(

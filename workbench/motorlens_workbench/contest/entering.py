@@ -252,17 +252,19 @@ def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effec
     return replace(both, standing=other.standing, accepted=other.accepted, unlikely=other.unlikely)
 
 
-def from_the_beginning(here: Standing, fitted: Fitted) -> Fitted | None:
+def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = None) -> Fitted | None:
     """A model estimated from the beginning, if that is likelier than where a refit has led; None if it is not.
+
+    It begins with its effects as the refit has them and, given what a look says of the last, with that at its typical size.
 
     What was missing may have passed for a delay, or for inputs that ran otherwise between their samples; or it has bent the
     parameters to where another motor, unlike its file, does nearly as well. Which is likelier is asked of both as they are
     known from the recordings and beforehand.
     """
-    again = anew(fitted)
-    if again is None or _unlikely(here, again) + again.pulled >= _unlikely(here, fitted) + fitted.pulled:
-        return None
-    return again
+    begins = [fitted] if typical is None else [fitted, begun(here.fitted, typical)]
+    ends = [end for end in map(anew, begins) if end is not None]
+    best = min([fitted, *ends], key=lambda end: _unlikely(here, end) + end.pulled)
+    return None if best is fitted else best
 
 
 def _unlikely(here: Standing, fitted: Fitted) -> float:
