@@ -131,9 +131,8 @@ def minimise(
         ModelError: the way leads where nothing can be simulated.
     """
     keys = prior.keys
-    point = begin
-    scale = np.array([prior.sd[key] for key in keys])
-    gram, left = np.diag(1 / scale**2), float("inf")
+    point = seen = begin
+    gram, left = np.diag(prior.width(begin.model.values()) ** -2.0), float("inf")
     before, whole, share, swings = (point, gram, left), np.zeros(len(keys)), 1.0, False
 
     def tried(step: Array) -> tuple[P | None, float]:
@@ -152,16 +151,17 @@ def minimise(
         if swings:
             point = anew(point)
         last = whole
-        gram, gradient, cost, whole = _seen(point, prior)
+        seen, (gram, gradient, cost, whole) = point, _seen(point, prior)
         left = _length(whole, gram)
         if left < enough:
             break
         if before[2] <= min(left, CONVERGED):
-            return _as_stated(*before, prior)
+            near, gram, left = before
+            return near, _as_stated(gram, near, prior), left
         # What `between` found is a step old: where the minimum moves with it, steps swing about the end and get no shorter.
         if before[2] <= left and not swings:
             swings, point = True, anew(point)
-            gram, gradient, cost, whole = _seen(point, prior)
+            seen, (gram, gradient, cost, whole) = point, _seen(point, prior)
             left = _length(whole, gram)
         before = point, gram, left
         share = _share(share, last, whole, gram)
@@ -178,7 +178,7 @@ def minimise(
                 fresh, stale = True, point
                 point = anew(stale)
                 if point is not stale:
-                    gram, gradient, cost, whole = _seen(point, prior)
+                    seen, (gram, gradient, cost, whole) = point, _seen(point, prior)
                     left = _length(whole, gram)
                     continue
             damping = max(damping * 10, 1e-4)
@@ -188,13 +188,16 @@ def minimise(
             break
         damping = max(damping / 10, 1e-9)
         progress(f"step {k + 1}: {left:.3g} standard deviations to go")
-    return _as_stated(point, gram, left, prior)
+    return point, _as_stated(gram, seen, prior), left
 
 
-def _as_stated(point: P, gram: Array, left: float, prior: Prior) -> tuple[P, Array, float]:
-    """Where it ends. That a parameter is hardly next to nothing tells steps where to go, not how certain it is."""
+def _as_stated(gram: Array, seen: Point, prior: Prior) -> Array:
+    """J^T J at a point with the deviations that the prior states, from that with its curvature there.
+
+    That a parameter is hardly next to nothing tells steps where to go, not how certain it is.
+    """
     known = np.array([prior.sd[key] for key in prior.keys]) ** -2.0
-    return point, gram + np.diag(known - prior.width(point.model.values()) ** -2.0), left
+    return np.asarray(gram + np.diag(known - prior.width(seen.model.values()) ** -2.0))
 
 
 def _turned(
