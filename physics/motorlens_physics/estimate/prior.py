@@ -3,8 +3,8 @@
 One table and one rule for every command. A parameter with `sd = 0` is known exactly and is never fitted. A stated
 deviation counts as stated; that a resistance or an inertia is next to nothing is far less likely than that says. A value
 without one, or one that was fitted while something was missing from the model, may be off by the share of it that the
-table says. What a file learnt from a recording does not count beside that recording, which
-would be counted twice; what was stated before does.
+table says. What a file learnt from a recording does not count beside that recording, which would be counted twice; what was
+stated before does.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -82,6 +82,10 @@ class Prior:
 
         return np.array([of(key, width) for key, width in self.sd.items()], dtype=np.float64)
 
+    def penalty(self, values: Mapping[str, float]) -> float:
+        """Of all parameters, see `penalties`; near the centre the squared distance from it, in standard deviations."""
+        return float(np.sum(self.penalties(values)))
+
     def width(self, values: Mapping[str, float]) -> Array:
         """(k,) one over the root of half the curvature of each penalty, there."""
         wide = [
@@ -110,10 +114,6 @@ class Prior:
             {key: self.bounds[key] for key in keys},
             self.positive & frozenset(keys),
         )
-
-    def penalty(self, values: Mapping[str, float]) -> float:
-        """Of all of them; near the centre the squared distance from it, in standard deviations."""
-        return float(np.sum(self.penalties(values)))
 
 
 NOTHING = Prior({}, {}, {})

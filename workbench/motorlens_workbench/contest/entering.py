@@ -62,7 +62,7 @@ class Step:
         best = other if other.unlikely < self.unlikely else self
         return replace(
             best,
-            accepted=_knowing(best.accepted, self.accepted, other.accepted),
+            accepted=_with_all_beside(best.accepted, self.accepted, other.accepted),
             refused=(*self.refused, *other.refused),
             estimated=(*self.estimated, *other.estimated),
             judged=judged,
@@ -70,7 +70,7 @@ class Step:
         )
 
 
-def _knowing(best: Accepted | None, *others: Accepted | None) -> Accepted | None:
+def _with_all_beside(best: Accepted | None, *others: Accepted | None) -> Accepted | None:
     """What has been accepted, with what each attempt to add it has shown of names beside it."""
     if best is None:
         return None
@@ -263,8 +263,13 @@ def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = N
     """
     begins = [fitted] if typical is None else [fitted, begun(here.fitted, typical)]
     ends = [end for end in map(anew, begins) if end is not None]
-    best = min([fitted, *ends], key=lambda end: _unlikely(here, end) + end.pulled)
+    best = min([fitted, *ends], key=lambda end: unlikely_as_known(here, end))
     return None if best is fitted else best
+
+
+def unlikely_as_known(here: Standing, fitted: Fitted) -> float:
+    """Of a model, by what it leaves and by what is known of it beforehand; infinite where it cannot be simulated."""
+    return _unlikely(here, fitted) + fitted.pulled
 
 
 def _unlikely(here: Standing, fitted: Fitted) -> float:

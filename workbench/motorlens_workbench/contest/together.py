@@ -6,18 +6,16 @@ is, and then the first as one beside the second.
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from motorlens_physics.effect import Effect
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.entering import Attempt, enter
+from motorlens_workbench.contest.entering import Attempt, enter, unlikely_as_known
 from motorlens_workbench.contest.needed import beyond_chance, promising
 from motorlens_workbench.contest.worth import worth
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.refit import settled, without_hypothesis
-from motorlens_workbench.standing import Standing, stand, unlikely_from
+from motorlens_workbench.standing import Standing, stand
 from motorlens_workbench.telling import Progress
 
 # Models with a name that did not hold, from which another is looked for.
@@ -37,7 +35,7 @@ def enter_two(
     """
     first = best_of(here.scores)
     tried = [(name, end) for name, (model, end) in attempts.items() if model is here.fitted and name in first]
-    for name, end in sorted(tried, key=lambda one: _unlikely(here, one[1]))[:BEGUN]:
+    for name, end in sorted(tried, key=lambda one: unlikely_as_known(here, one[1]))[:BEGUN]:
         say(f"beside {name.replace('_', ' ')}")
         try:
             found = _beside(here, first[name], end, own, say)
@@ -46,14 +44,6 @@ def enter_two(
         if found is not None:
             return found
     return None
-
-
-def _unlikely(here: Standing, fitted: Fitted) -> float:
-    """Of a model and what it leaves; infinite where it cannot be simulated."""
-    try:
-        return unlikely_from(here, fitted) + fitted.pulled
-    except ModelError:
-        return float(np.inf)
 
 
 def _beside(
