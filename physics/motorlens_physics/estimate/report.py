@@ -79,6 +79,7 @@ def findings(fit: Fit) -> Findings:
     prior, file = fit.prior, fit.model.file
     keys = tuple(key for key in prior.keys if "@" not in key)
     fitted, deviation = fit.model.values(), fit.sd()
+    widths = dict(zip(prior.keys, prior.width(fitted), strict=True))
     penalty = dict(zip(prior.keys, prior.penalties(fitted), strict=True))
     value: dict[str, float] = {}
     sd: dict[str, float] = {}
@@ -89,8 +90,8 @@ def findings(fit: Fit) -> Findings:
         meaning = file.meaning(key)
         centre, width, unit = prior.centre[key], prior.sd[key], meaning.unit
         unit = "" if unit == "1" else f" {unit}"
-        value[key], sd[key] = fitted[key], min(deviation[key], width)
-        left = sd[key] / width
+        value[key], sd[key] = fitted[key], min(deviation[key], widths[key])
+        left = sd[key] / widths[key]
         if left > UNTOLD:
             value[key], sd[key] = centre, width
             untold[key] = (
