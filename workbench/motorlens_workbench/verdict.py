@@ -191,16 +191,22 @@ def _own_parameters(found: Finding, one: Accepted) -> list[str]:
 def _refused(found: Finding, name: str) -> str:
     """A name that the screen points at and that does not hold, with what it does to the errors."""
     try:
-        before, after = (fitted_errors(one.model, one.runs) for one in found.outcome.attempts[name])
+        without, with_it = found.outcome.attempts[name]
+        before, after = (fitted_errors(one.model, one.runs) for one in (without, with_it))
     except (KeyError, ModelError):
         return f"The screen points at {name}, but no model could be fitted with it: it stands for something else."
     changes = " and ".join(
         f"the error of {channel} goes from {error:.3g} to {after[channel]:.3g} {UNIT_OF[channel]}"
         for channel, error in before.items()
     )
+    # The table's errors are those of the whole contest, from the model of the motor file on.
+    others = [
+        one.hypothesis.name for one in found.outcome.accepted if one.hypothesis.key in without.prior.keys
+    ]
+    beside = f" beside {' and '.join(others)}" if others else ""
     return (
-        f"The screen points at {name}. Fitted with it, {changes}; but that is no more than chance may do, or one stretch of "
-        "time does not agree with another on it, so it may stand for something else."
+        f"The screen points at {name}. Fitted with it{beside}, {changes}; but that is no more than chance may do, or one "
+        "stretch of time does not agree with another on it, so it may stand for something else."
     )
 
 
