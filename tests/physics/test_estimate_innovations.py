@@ -30,13 +30,17 @@ SAMPLES, CHANNELS = 12, 2
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 
 
-@pytest.fixture(scope="module", params=[(3, False), (4, False), (3, True), (4, True)], ids=str)
+SPACES = [(3, False, False), (4, False, False), (3, True, False), (4, True, False), (3, True, True)]
+
+
+@pytest.fixture(scope="module", params=SPACES, ids=str)
 def space(request: pytest.FixtureRequest) -> StateSpace:
     """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start. Or besides coloured noise.
 
-    Of the voltage, which runs linearly, and of the second channel, whose state is the last.
+    Of the voltage, which runs linearly, and of the second channel, whose state is the last. Or the slow one, which stands
+    before them, has no variance.
     """
-    states, lasting = request.param
+    states, lasting, silent = request.param
     rng = np.random.default_rng(0)
     keeps = np.zeros((SAMPLES - 1, 3))
     keeps[:, 2] = 0.9
@@ -51,7 +55,7 @@ def space(request: pytest.FixtureRequest) -> StateSpace:
         return found
     return replace(
         found, shows=np.array([0, states - 1]), balances=np.array([0, 1, 1, 0, -1]), drifts=np.array([[-1, -1], [4, -1]]),
-        holds=np.array([True, False, True, False, True]), variance=np.array([0.5, 0.8, 0.3, 0.4, 0.7]),
+        holds=np.array([True, False, True, False, True]), variance=np.array([0.5, 0.8, 0.0 if silent else 0.3, 0.4, 0.7]),
         keeps=np.column_stack([keeps, np.full(SAMPLES - 1, 0.6), np.linspace(0.5, 0.8, SAMPLES - 1)]),
     )  # fmt: skip
 
@@ -138,6 +142,9 @@ def test_scores_are_the_slopes_of_the_likelihood(space: StateSpace) -> None:
     _, of_inputs, of_channels = disturbances(space, innovations(space, y))
     weighted = dense.inverse @ y.ravel()[dense.use]
     for d, part in enumerate(dense.parts):
+        if space.variance[d] == 0:
+            assert not of_inputs[:, d].any()
+            continue
         slope = part / space.variance[d]
         assert of_inputs[:, d] == pytest.approx(
             [weighted @ slope @ weighted, np.trace(dense.inverse @ slope)], rel=1e-10

@@ -74,7 +74,7 @@ class Filtered:
     Attributes:
         white: (N, C, m) innovations of m columns, in units of their standard deviation; 0 where nothing was measured.
         scale: (N, C) that standard deviation, infinite where nothing was measured.
-        gain: (N, C, n + D) of each channel in its turn.
+        gain: (N, C, n + A) of each channel in its turn, of states and the disturbances that act: whose variance is not zero.
     """
 
     white: Array
@@ -127,6 +127,7 @@ def in_blocks(space: StateSpace, known: Filtered, columns: Array, blocks: Iterab
 
     Of a filter that has been through these samples, scales and gains are `known`: they are the same for all columns.
     """
+    space, _ = _acting(space)
     balances, each = _balances(space), _each(space)
     states = np.zeros((known.gain.shape[2], columns.shape[2]))
     for rows in blocks:
@@ -163,6 +164,7 @@ def sums(space: StateSpace, known: Filtered, columns: Array, blocks: int) -> Sum
 def spread(space: StateSpace) -> Array:
     """(C,) mean variance that the disturbances bring about in what the channels show, beside the sensors' white noise."""
     power = np.zeros(len(space.shows))
+    space, _ = _acting(space)
     kalman.spread(
         _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
         space.keeps, space.variance, np.diag(np.concatenate([space.start, space.variance])), power,
@@ -185,6 +187,7 @@ def _filtered(
     space: StateSpace, columns: Array, steps: Array, deviance: Array = NOTHING, unlikely: Array = NOTHING
 ) -> Filtered:
     """Filter columns (N, C, m); with `steps`, one column is read and the others are written."""
+    space, _ = _acting(space)
     n, count, (samples, channels, width) = space.matrices.shape[1], len(space.balances), columns.shape
     white, scale = np.empty(columns.shape), np.empty((samples, channels))
     gain = np.zeros((samples, channels, n + count))
@@ -202,20 +205,43 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
 
     Returns:
         (N, D) expected disturbance at each sample given all samples.
-        (2, D): sums over the samples of the squared score and of its expectation, per disturbance.
+        (2, D): sums over the samples of the squared score and of its expectation, per disturbance; zero where it has none.
         (2, C): the same per channel. A variance times the root of the ratio of the two is the next step of its
         maximum-likelihood estimate, which never falls (Zhou, Hu, Zhou and Lange 2019, doi:10.1080/10618600.2018.1529601).
     """
-    count, channels = len(space.balances), space.noise.shape[1]
+    every, channels = len(space.balances), space.noise.shape[1]
+    space, acting = _acting(space)
     seen, of_inputs, of_channels = (
-        np.zeros((len(space.noise), count)), np.zeros((2, count)), np.zeros((2, channels))
+        np.zeros((len(space.noise), len(acting))), np.zeros((2, len(acting))), np.zeros((2, channels))
     )  # fmt: skip
     kalman.backward(
         _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
         space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
-    return seen, of_inputs, of_channels
+    return _among(seen, acting, every), _among(of_inputs, acting, every), of_channels
+
+
+def _acting(space: StateSpace) -> tuple[StateSpace, NDArray[np.int64]]:
+    """Without disturbances whose variance is zero, for they cost as much as others; the positions of those that are left."""
+    acting = np.flatnonzero(space.variance)
+    if len(acting) in (0, len(space.variance)):
+        return space, np.arange(len(space.variance))
+    # The last stands for -1: none.
+    now_at = np.full(len(space.variance) + 1, -1)
+    now_at[acting] = np.arange(len(acting))
+    fewer = replace(
+        space, balances=space.balances[acting], drifts=now_at[space.drifts], holds=space.holds[acting],
+        keeps=np.ascontiguousarray(space.keeps[:, acting]), variance=space.variance[acting],
+    )  # fmt: skip
+    return fewer, acting
+
+
+def _among(found: Array, acting: NDArray[np.int64], every: int) -> Array:
+    """What was found of the acting disturbances (..., A) among all of them (..., D), zero for the others."""
+    among = np.zeros((*found.shape[:-1], every))
+    among[..., acting] = found
+    return among
 
 
 def share_that_remains(time_s: Array, lasts_s: Array) -> Array:
