@@ -228,7 +228,6 @@ def _forward(
     variations = Variations(
         S=S, kept=kept, matrices=matrices, slots=slots, beside=np.array(beside, dtype=np.int64),
         a=np.zeros((3, n, n)), g=np.zeros((3, n, len(forced) + 1)), over=np.zeros((n, 4 * n)), T=np.zeros(S.shape),
-        part=np.zeros((3, n, n)), whole=np.zeros((n, 4 * n)), product=np.zeros((n, 4 * n)),
     )  # fmt: skip
     trajectory = run(
         system, code, motor, inputs, x, tolerance=tolerance, smooth=smooth, candidates=candidates,

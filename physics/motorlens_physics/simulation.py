@@ -42,7 +42,7 @@ STEPS_A_SAMPLE, STEPS_BESIDE = 100, 10_000
 _NO_MATRIX, _NO_CUBE, _NO_INDEX = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, dtype=np.int64)
 _NOTHING = Variations(
     S=_NO_MATRIX, kept=_NO_CUBE, matrices=_NO_CUBE, slots=_NO_INDEX, beside=_NO_INDEX, a=_NO_CUBE, g=_NO_CUBE,
-    over=_NO_MATRIX, T=_NO_MATRIX, part=_NO_CUBE, whole=_NO_MATRIX, product=_NO_MATRIX,
+    over=_NO_MATRIX, T=_NO_MATRIX,
 )  # fmt: skip
 
 

@@ -86,17 +86,17 @@ def test_machine_code_does_what_its_source_says_in_python(
         x = np.array([5.0, 100.0, 30.0, *np.ones(n - 3)]) * rng.normal(size=n)
         found = []
         for functions in (python, machine):
-            out, a, g = np.zeros(3 * n + 5), np.zeros((n, n)), np.zeros((n, columns))
-            jacobians, over = np.zeros((3, n, n)), np.zeros((n, 4 * n))
-            five = [functions[name] for name in ("step", "rest", "balance", "linear", "transfer")]
+            out, a, g = np.zeros(3 * n + 6), np.zeros((n, n)), np.zeros((n, columns))
+            jacobians, over = np.zeros((3, n, n)), np.eye(n, 4 * n)
+            names = ("step", "rest", "balance", "linear", "stiffness", "transfer")
             (_call if functions is python else call)(
-                *five, x, p, out, a, g, np.arange(columns), jacobians, over
+                *(functions[name] for name in names), x, p, out, a, g, np.arange(columns), jacobians, over
             )  # fmt: skip
             found.append(np.concatenate([out, a.ravel(), g.ravel(), over.ravel()]))
         np.testing.assert_allclose(found[1], found[0], rtol=1e-10, atol=1e-10 * np.max(np.abs(found[0])))
 
 
-def _call(step, rest, balance, linear, transfer, x, p, out, a, g, slots, jacobians, over):  # type: ignore[no-untyped-def]
+def _call(step, rest, balance, linear, stiffness, transfer, x, p, out, a, g, slots, jacobians, over):  # type: ignore[no-untyped-def]
     n, u = x.size, np.array([200.0, 3.0, 20.0, 0.4, 50.0, -1.0, 0.1, 90.0, 5.0, 7.0, 0.0, 0.0, 0.0])
     step(x, p, 0.5, u, 1e-3, 1.0, 1.0, out[:n], out[n : 2 * n], out[2 * n : 3 * n])
     out[3 * n], out[3 * n + 1], out[3 * n + 2] = rest(x, p, 0.5, u, 0.1)
@@ -104,7 +104,9 @@ def _call(step, rest, balance, linear, transfer, x, p, out, a, g, slots, jacobia
     linear(x, p, 0.5, u, 0.1, -1.0, slots, a, g)
     for k in range(3):
         linear(x, p, 0.5, u, 0.05 * k, 1.0, slots, jacobians[k], g)
-    transfer(p, 1e-3, 1.0, jacobians, over)
+    out[3 * n + 5] = stiffness(p, 1e-3, 1.0, jacobians)
+    transfer(p, 1e-3, 1.0, jacobians, 0.0, 0.3, over)
+    transfer(p, 1e-3, 1.0, jacobians, 0.3, 1.0, over)
 
 
 def test_what_is_understood_of_python_means_the_same_in_machine_code(tmp_path: Path) -> None:

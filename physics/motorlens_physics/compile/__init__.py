@@ -26,11 +26,12 @@ from motorlens_physics.compile.rodas import jacobian_of, step_source
 from motorlens_physics.symbols import INPUTS, LOAD, SIDE, System, named
 
 _LINEAR = "linear(x, p, t, u, ahead, side, slots, a, g)"
-_TRANSFER = "transfer(p, h, flow, a, over)"
-_PROPAGATE = "propagate(linear, transfer, x, p, t, u, h, side, go, y, z, begin, end, to)"
+_STIFFNESS = "stiffness(p, h, flow, a)"
+_TRANSFER = "transfer(p, h, flow, a, left, right, over)"
+_PROPAGATE = "propagate(linear, stiffness, transfer, x, p, t, u, h, side, go, y, z, begin, end, to)"
 _SIGNATURES = {
     name: getattr(types, f"of_{name}")
-    for name in ("step", "rest", "balance", "linear", "transfer", "propagate")
+    for name in ("step", "rest", "balance", "linear", "stiffness", "transfer", "propagate")
 }
 # The types are part of what is compiled: other types, another file.
 _HEAD = (
@@ -69,7 +70,7 @@ def source(system: System) -> str:
     rest: torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead.
     balance: right-hand sides of the electrical and the mechanical balance.
     linear: Jacobian a (n, n) of the motor's own balances and forcings g (n, columns), the k-th going to column slots[k].
-    transfer: see `variational.transfer_source`.
+    stiffness, transfer: see `variational`.
     propagate: nothing, in the place of `variational`.
     """
     forced = bool(system.forcings)
@@ -80,7 +81,8 @@ def source(system: System) -> str:
         _rest(system),
         _balance(system),
         _linear(system) if forced else _function(_LINEAR, ["pass"]),
-        _function(_TRANSFER, variational.transfer_source(system) if forced else ["return 0.0"]),
+        _function(_STIFFNESS, variational.stiffness_source(system) if forced else ["return 0.0"]),
+        _function(_TRANSFER, variational.transfer_source(system) if forced else ["pass"]),
         # Without forcings there is nothing to propagate; with them, it is the same for all structures.
         _function(_PROPAGATE, ["pass"]),
     ]

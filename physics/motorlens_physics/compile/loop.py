@@ -230,8 +230,8 @@ def keep(S: Vector, kept: Vector, k: int) -> None:
 
 
 def integrate(
-    step: Any, rest: Any, balance: Any, linear: Any, transfer: Any, propagate: Any, given: Any, course: Any, out: Vector,
-    to: Any,
+    step: Any, rest: Any, balance: Any, linear: Any, stiffness: Any, transfer: Any, propagate: Any, given: Any, course: Any,
+    out: Vector, to: Any,
 ) -> int:  # fmt: skip
     """Fill `out`, (N, n) or (N, n + 1) with the terminal voltage, from the state `course.x` at the first sample.
 
@@ -334,7 +334,7 @@ def integrate(
                     h = hold(step, rest, x, p, t, u, h, excess, ends, y, e, z)
             end = 1.0 if h == left else (past + h) / span
             if sensitive:
-                propagate(linear, transfer, x, p, t, u, h, side, go, y, z, past / span, end, to)
+                propagate(linear, stiffness, transfer, x, p, t, u, h, side, go, y, z, past / span, end, to)
                 if then != side:
                     _, before = balance(y, p, t, u, h, side)
                     after = 0.0

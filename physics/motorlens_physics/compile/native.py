@@ -7,7 +7,8 @@ protocol, and the object code is kept in the cache folder.
 
 Understood are assignments, + - * / **, comparisons, conditional expressions, subscripts, min, max, abs, np.sign, the
 functions of C's math library, and calls of the functions above in the same source, which are written out in place. A row
-of numbers, `np.zeros(12)`, may be filled at constant places, scaled, added, and stored as a row of a matrix: one vector.
+of numbers, `np.zeros(12)` or that of a matrix, `a[0, 0:12]`, may be filled at constant places, scaled, added, multiplied
+element by element, and stored as a row of a matrix: one vector.
 """
 
 import ast
@@ -244,6 +245,10 @@ class _Writer:
                 return ir.Constant(_DOUBLE, getattr(math, name))
             case ast.Tuple():
                 return [self._value(element, values) for element in node.elts]
+            case ast.Subscript(slice=ast.Tuple(elts=[row, ast.Slice(upper=ast.Constant(value=int(width)))])):
+                first = ast.Subscript(node.value, ast.Tuple([row, ast.Constant(0)]))
+                of = ir.VectorType(_DOUBLE, width).as_pointer()
+                return builder.load(builder.bitcast(self._place(first, values), of), align=8)
             case ast.Subscript():
                 return builder.load(self._place(node, values))
             case ast.UnaryOp(op=ast.USub()):

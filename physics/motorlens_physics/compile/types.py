@@ -58,8 +58,7 @@ class Variations(NamedTuple):
     `matrices` (N - 1, n, n + 6) are asked for, n + 6 for the unit perturbations of a sample. `kept` (N, rows, columns)
     has n rows, and one for the terminal voltage if anything is imposed. `slots` says which column a forcing goes to, and
     `beside` which one a constant added to the voltage, the imposed current and the imposed speed has, -1 for none.
-    `a` and `part` (3, n, n), `g` (3, n, forced + 1), `over`, `whole` and `product` (n, 4 n) and `T`, like S, are for
-    working.
+    `a` (3, n, n), `g` (3, n, forced + 1), `over` (n, 4 n) and `T`, like S, are for working.
     """
 
     S: Matrix
@@ -71,9 +70,6 @@ class Variations(NamedTuple):
     g: Matrix
     over: Matrix
     T: Matrix
-    part: Matrix
-    whole: Matrix
-    product: Matrix
 
 
 v = float64[::1]
@@ -82,17 +78,19 @@ mm = float64[:, :, ::1]
 indices = int64[::1]
 of_given = types.NamedTuple((v, m, indices, boolean, v), Given)
 of_course = types.NamedTuple((v, v, v, float64), Course)
-of_variations = types.NamedTuple((m, mm, mm, indices, indices, mm, mm, m, m, mm, m, m), Variations)
+of_variations = types.NamedTuple((m, mm, mm, indices, indices, mm, mm, m, m), Variations)
 of_step = types.void(v, v, float64, v, float64, float64, float64, v, v, v)
 of_rest = types.UniTuple(float64, 3)(v, v, float64, v, float64)
 of_balance = types.UniTuple(float64, 2)(v, v, float64, v, float64, float64)
 of_linear = types.void(v, v, float64, v, float64, float64, indices, m, m)
-of_transfer = float64(v, float64, float64, mm, m)
+of_stiffness = float64(v, float64, float64, mm)
+of_transfer = types.void(v, float64, float64, mm, float64, float64, m)
 of_propagate = types.void(
-    types.FunctionType(of_linear), types.FunctionType(of_transfer), v, v, float64, v, float64, float64, float64, v, v,
-    float64, float64, of_variations,
+    types.FunctionType(of_linear), types.FunctionType(of_stiffness), types.FunctionType(of_transfer), v, v, float64, v,
+    float64, float64, float64, v, v, float64, float64, of_variations,
 )  # fmt: skip
 pointers = [
-    types.FunctionType(f) for f in (of_step, of_rest, of_balance, of_linear, of_transfer, of_propagate)
+    types.FunctionType(f)
+    for f in (of_step, of_rest, of_balance, of_linear, of_stiffness, of_transfer, of_propagate)
 ]
 of_integrate = int64(*pointers, of_given, of_course, m, of_variations)

@@ -9,7 +9,8 @@ columns of a row side by side in one vector.
 
 The trajectory's steps are as long as the trajectory allows. Where the motor is steady that may be many of its time
 constants, but a perturbation of it decays within one. Such a step is gone in parts, the first within a time constant and
-each next one as long as all before it, along Jacobians interpolated between those three instants.
+each next one as long as all before it, along Jacobians interpolated between those three instants; what a part ends with, the
+next one begins with.
 
 Like `loop` this is ordinary Python, copied below the line into generated modules.
 """
@@ -33,22 +34,30 @@ LOBATTO = ((1 / 6, -1 / 3, 1 / 6), (1 / 6, 5 / 12, -1 / 12), (1 / 6, 2 / 3, 1 / 
 
 
 def transfer_source(system: System) -> list[str]:
-    """The lines of `transfer(p, h, flow, a, over)`: Phi, Gamma_0, Gamma_m and Gamma_1 of a step side by side, (n, 4 n).
+    """The lines of `transfer(p, h, flow, a, left, right, over)`: from one share of a step of length h to another.
 
-    `a` (3, n, n) holds the Jacobians at begin, middle and end; flow is 0 where the current is imposed, whose equation is
-    then di/dt = 0 whatever the inductance. What it returns is the length of the step in time constants of its fastest state:
-    Gershgorin's bound in the middle, of the Jacobian scaled to pairs of equal size.
+    Carried on is `over` (n, 4 n): Phi, Gamma_0, Gamma_m and Gamma_1 side by side, of what lies before. `a` (3, n, n) holds
+    the Jacobians at begin, middle and end of the whole step; flow is 0 where the current is imposed, whose equation is then
+    di/dt = 0 whatever the inductance.
     """
     n = system.of_motor
-    masses = system.masses[:n]
-    lines = [f"{p} = p[{k}]" for k, p in enumerate(system.p) if p in set(masses)]
-    lines += [f"m{r} = {mass}" for r, mass in enumerate(masses)]
-    lines += [f"m{CURRENT} = m{CURRENT} + (1.0 - flow)"]
+    lines = _masses(system)
     entries = {at for at in jacobian_of(system) if max(at) < n}
+    # Weights of begin, middle and end in what lies between them, by a parabola.
+    lines += ["span = h * (right - left)", "mid = 0.5 * (left + right)"]
+    for j, share in enumerate(("left", "mid", "right")):
+        lines += [f"first{j} = (2.0 * {share} - 1.0) * ({share} - 1.0)"]
+        lines += [
+            f"middle{j} = 4.0 * {share} * (1.0 - {share})",
+            f"last{j} = {share} * (2.0 * {share} - 1.0)",
+        ]
     # Row i n + r is the r-th balance of stage i, column j n + c the c-th state at stage j.
     pattern = set()
     for j in range(3):
-        lines += [f"b{j}_{r}_{c} = h * a[{j}, {r}, {c}]" for r, c in sorted(entries)]
+        lines += [
+            f"b{j}_{r}_{c} = span * (first{j} * a[0, {r}, {c}] + middle{j} * a[1, {r}, {c}] + last{j} * a[2, {r}, {c}])"
+            for r, c in sorted(entries)
+        ]
         for i in range(3):
             for r, c in sorted(entries | {(r, r) for r in range(n)}):
                 inside = f"{-LOBATTO[i][j]!r} * b{j}_{r}_{c}" if (r, c) in entries else ""
@@ -56,11 +65,18 @@ def transfer_source(system: System) -> list[str]:
                 if inside or mass:
                     lines += [f"w{i * n + r}_{j * n + c} = " + " + ".join(filter(None, (mass, inside)))]
                     pattern.add((i * n + r, j * n + c))
+    width = 4 * n
+    for q in range(3):
+        # Where the forcings at an instant stand, of all balances and, below, those of a balance.
+        lines += [f"at{q} = np.zeros({width})", *(f"at{q}[{(1 + q) * n + r}] = 1.0" for r in range(n))]
     for i in range(3):
-        for r in range(n):
-            row = f"y{i * n + r}"
-            lines += [f"{row} = np.zeros({4 * n})", f"{row}[{r}] = m{r}"]
-            lines += [f"{row}[{(1 + j) * n + r}] = h * {LOBATTO[i][j]!r}" for j in range(3)]
+        for q, of in enumerate(("first", "middle", "last")):
+            lines += [f"d{q} = span * ({' + '.join(f'{LOBATTO[i][j]!r} * {of}{j}' for j in range(3))})"]
+        lines += [f"forced{i} = d0 * at0 + d1 * at1 + d2 * at2"]
+    for r in range(n):
+        lines += [f"own = np.zeros({width})", *(f"own[{(1 + q) * n + r}] = 1.0" for q in range(3))]
+        lines += [f"before = m{r} * over[{r}, 0:{width}]"]
+        lines += [f"y{i * n + r} = before + forced{i} * own" for i in range(3)]
     last = range(2 * n, 3 * n)
     for pivot in range(3 * n):
         lines += [f"i{pivot} = 1.0 / w{pivot}_{pivot}"]
@@ -80,15 +96,34 @@ def transfer_source(system: System) -> list[str]:
     for pivot in reversed(last):
         terms = "".join(f" - w{pivot}_{c} * y{c}" for c in last if c > pivot and (pivot, c) in pattern)
         lines += [f"y{pivot} = (y{pivot}{terms}) * i{pivot}", f"over[{pivot - 2 * n}, :] = y{pivot}"]
+    return lines
+
+
+def stiffness_source(system: System) -> list[str]:
+    """The lines of `stiffness(p, h, flow, a)`: the length of a step in time constants of its fastest state.
+
+    Gershgorin's bound in the middle, of the Jacobian scaled to pairs of equal size. Arguments as of `transfer_source`.
+    """
+    n = system.of_motor
+    entries = {at for at in jacobian_of(system) if max(at) < n}
+    lines = _masses(system)
     bounds = [
         " + ".join(
-            f"math.sqrt(abs(b1_{r}_{c} * b1_{c}_{r} / max(m{r} * m{c}, {sys.float_info.min})))"
+            f"math.sqrt(abs(a[1, {r}, {c}] * a[1, {c}, {r}] / max(m{r} * m{c}, {sys.float_info.min})))"
             for c in range(n)
             if {(r, c), (c, r)} <= entries
         )
         for r in range(n)
     ]
-    return [*lines, f"return max({', '.join(['0.0', *filter(None, bounds)])})"]
+    return [*lines, f"return h * max({', '.join(['0.0', *filter(None, bounds)])})"]
+
+
+def _masses(system: System) -> list[str]:
+    """Lines that name the masses; an imposed current needs no inductance."""
+    masses = system.masses[: system.of_motor]
+    lines = [f"{p} = p[{k}]" for k, p in enumerate(system.p) if p in set(masses)]
+    lines += [f"m{r} = {mass}" for r, mass in enumerate(masses)]
+    return [*lines, f"m{CURRENT} = m{CURRENT} + (1.0 - flow)"]
 
 
 # ---- compiled from here on ----
@@ -119,11 +154,8 @@ def hindered(u: Matrix, go: float, over: Matrix) -> None:
         # What rests has no speed to be perturbed.
         for c in range(over.shape[1]):
             over[SPEED, c] = 0.0
-
-
-def between(share: float) -> Any:
-    """Weights of begin, middle and end in what lies between them at a share of the step, by a parabola."""
-    return (2 * share - 1) * (share - 1), 4 * share * (1 - share), share * (2 * share - 1)
+        for r in range(over.shape[0]):
+            over[r, SPEED] = 0.0
 
 
 def oscillating(over: Matrix, most: float) -> Any:
@@ -146,51 +178,21 @@ def oscillating(over: Matrix, most: float) -> Any:
     return radian, until
 
 
-def in_parts(transfer: Any, p: Matrix, u: Matrix, h: float, go: float, stiffness: float, to: Any) -> None:
-    """The matrices of a step, to `over`, from those of its parts."""
-    a, over, part, whole, product = to.a, to.over, to.part, to.whole, to.product
-    n, width = over.shape
-    for r in range(n):
-        for c in range(width):
-            whole[r, c] = 1.0 if r == c else 0.0
-    first_part = 2.0 ** -math.ceil(min(math.log2(stiffness / RESOLVED), HALVINGS))
+def in_parts(transfer: Any, p: Matrix, h: float, flow: float, long: float, a: Matrix, over: Matrix) -> None:
+    """The matrices of a step that is so many time constants long, to `over`, through those of its parts."""
+    first_part = 2.0 ** -math.ceil(min(math.log2(long / RESOLVED), HALVINGS))
     left, right, radian, until = 0.0, first_part, 1.0, 0.0
     while left < 1.0:
-        for q in range(3):
-            first, middle, last = between(left + 0.5 * q * (right - left))
-            for r in range(n):
-                for c in range(n):
-                    part[q, r, c] = first * a[0, r, c] + middle * a[1, r, c] + last * a[2, r, c]
-        transfer(p, h * (right - left), 1.0 - u[IMPOSED + CURRENT], part, over)
-        hindered(u, go, over)
+        transfer(p, h, flow, a, left, right, over)
         if left == 0.0:
             radian, until = oscillating(over, 1.0 / first_part)
-        for r in range(n):
-            for c in range(width):
-                total = 0.0
-                for k in range(n):
-                    total += over[r, k] * whole[k, c]
-                product[r, c] = total
-            for q in range(3):
-                first, middle, last = between(left + 0.5 * q * (right - left))
-                for c in range(n):
-                    added = over[r, (1 + q) * n + c]
-                    product[r, n + c] += first * added
-                    product[r, 2 * n + c] += middle * added
-                    product[r, 3 * n + c] += last * added
-        for r in range(n):
-            for c in range(width):
-                whole[r, c] = product[r, c]
         longest = first_part * max(radian, 1.0) if right < first_part * until else math.inf
         left, right = right, min(right + min(right, longest), 1.0)
-    for r in range(n):
-        for c in range(width):
-            over[r, c] = whole[r, c]
 
 
 def propagate(
-    linear: Any, transfer: Any, x: Matrix, p: Matrix, t: float, u: Matrix, h: float, side: float, go: float, y: Matrix,
-    z: Matrix, begin: float, end: float, to: Any,
+    linear: Any, stiffness: Any, transfer: Any, x: Matrix, p: Matrix, t: float, u: Matrix, h: float, side: float, go: float,
+    y: Matrix, z: Matrix, begin: float, end: float, to: Any,
 ) -> None:  # fmt: skip
     """Carry the sensitivities over one step, from the share `begin` of the sample to `end`."""
     S, T, a, g, over = to.S, to.T, to.a, to.g, to.over
@@ -207,10 +209,15 @@ def propagate(
         for q in range(3):
             for r in range(n):
                 g[q, r, to.beside[0]] = 0.0
-    stiffness = transfer(p, h, flow, a, over)
+    for r in range(n):
+        for c in range(4 * n):
+            over[r, c] = 1.0 if r == c else 0.0
+    long = stiffness(p, h, flow, a)
+    if long > RESOLVED:
+        in_parts(transfer, p, h, flow, long, a, over)
+    else:
+        transfer(p, h, flow, a, 0.0, 1.0, over)
     hindered(u, go, over)
-    if stiffness > RESOLVED:
-        in_parts(transfer, p, u, h, go, stiffness, to)
     columns, forced = S.shape[1], g.shape[2] - 1
     for r in range(n):
         for j in range(columns):
