@@ -191,27 +191,25 @@ def coloured(
     begins = [noise.with_small_torque(run, samples) for samples in (*durations, LASTS[1])]
     cost = min(likelier(one, run, linear, error, used, updates)[1] for one in (noise, *begins))
 
-    def tried(near: Noise, samples: float) -> tuple[Noise, float]:
-        return likelier(near.correlated(samples * run.period_s), run, linear, error, used, updates)
+    def tried(begin: Noise, samples: float, updates: int) -> tuple[Noise, float]:
+        near = begin.coloured(run, error, samples).correlated(samples * run.period_s)
+        return likelier(near, run, linear, error, used, updates)
 
     shortest, usual, longest = CORRELATED
-    first = [
-        tried(begin.coloured(run, error, samples), samples)
-        for begin in begins
-        for samples in (shortest, usual)
-    ]
-    other, least = min(first, key=lambda one: one[1])
+    first = [(tried(begin, samples, updates)[1], begin) for begin in begins for samples in (shortest, usual)]
+    least, begin = min(first, key=lambda one: one[0])
     if cost - least < chdtri(TORQUE + len(run.channels), CHANCE / len(first)):
         return noise
+    # Durations differ by less than a noise still gains that has not converged, and than one gains that goes on from another.
     likeliest = minimize_scalar(
-        lambda logarithm: tried(other, np.exp(logarithm))[1],
+        lambda logarithm: tried(begin, np.exp(logarithm), CONVERGED)[1],
         bounds=(float(np.log(shortest)), float(np.log(longest))),
         method="bounded",
         options={"xatol": DURATION},
     )
-    if likeliest.x > np.log(usual) and least - likeliest.fun > chdtri(1, CHANCE):
+    if likeliest.x > np.log(usual) and tried(begin, usual, CONVERGED)[1] - likeliest.fun > chdtri(1, CHANCE):
         return noise
-    other, _ = tried(other, np.exp(likeliest.x))
+    other, _ = tried(begin, np.exp(likeliest.x), CONVERGED)
     left = read(other.space(run, linear, used), error).filtered.white[:, :, 0]
     powers = np.array([np.mean(part**2) for part in np.array_split(left, PARTS)])
     return other if _correlation(left) < WHITE and np.std(powers) < UNEVEN * np.mean(powers) else noise
