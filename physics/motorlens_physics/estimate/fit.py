@@ -425,6 +425,14 @@ def fit(model: Model, runs: Sequence[Run], prior: Prior, *, rounds: int = 12, en
     return Fit(end.model, prior, inverse(gram), end.residuals, left)
 
 
+def white(found: Fit, runs: Sequence[Run]) -> float:
+    """Twice the negative logarithmic likelihood of what a fit leaves, as white noise as large as that in each channel."""
+    return sum(
+        2.0 * len(residual[run.fresh()]) * float(np.sum(np.log(_sizes(residual, run))))
+        for residual, run in zip(found.residuals, runs, strict=True)
+    )
+
+
 def _sizes(residual: Array, run: Run) -> Array:
     return np.asarray(np.maximum(np.sqrt(np.mean(residual[run.fresh()] ** 2, axis=0)), run.floor))
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from motorlens_physics.estimate.between_samples import as_they_ran, gained_without_noise
-from motorlens_physics.estimate.delays import likeliest_lag, nearer, realigned
-from motorlens_physics.estimate.fit import NEAR, fit
+from motorlens_physics.estimate.delays import LONGEST, likeliest_lag, nearer, realigned
+from motorlens_physics.estimate.fit import NEAR, fit, white
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.pieces import as_found, cut, starting_as
 from motorlens_physics.estimate.prior import Prior
@@ -111,17 +111,46 @@ class Timing:
             noises = [part.noise for part in point.parts]
             seen = from_noise(starting_as(point.model, self.wide, few), longer, noises, self.prior)
         lag = likeliest_lag(seen, self.prior)
-        if lag is None:
-            return point
-        runs = tuple(
-            replace(run.delayed(lag.channel, lag.samples) if r == lag.r else run, corrections=None)
-            for r, run in enumerate(point.runs)
-        )
+        if lag is not None:
+            runs = [
+                run.delayed(lag.channel, lag.samples) if r == lag.r else run
+                for r, run in enumerate(point.runs)
+            ]
+            return self._if_it_holds(point, runs, lag.tried)
+        runs, tried = self._farther(point) if point.scatters else (point.runs, 0)
+        return self._if_it_holds(point, runs, tried) if tried else point
+
+    def _if_it_holds(self, point: Weighed, runs: Sequence[Run], tried: int) -> Weighed:
+        """Where runs lead whose channels were moved, the best of so many tried; the point if that is not likelier."""
+        along = tuple(replace(run, corrections=None) for run in runs)
         # What is late has bent the fit: it begins anew without it, and where that ends must hold the promise.
         start = replace(self.begin, held=point.model.held)
-        runs, rough = nearer(runs, fit(start, runs, self.straight, rounds=NEAR, enough=1.0), self.straight)
-        other = self._minimised(begun(rough.model, runs, self.prior))
-        return other if gained(point, other, self.prior) > needed(lag.tried) else point
+        along, rough = nearer(along, fit(start, along, self.straight, rounds=NEAR, enough=1.0), self.straight)
+        other = self._minimised(begun(rough.model, along, self.prior))
+        return other if gained(point, other, self.prior) > needed(tried) else point
+
+    def _farther(self, point: Weighed) -> tuple[Sequence[Run], int]:
+        """Runs with a channel moved as far as makes least squares likeliest, and how many ways were tried; 0 if none is.
+
+        Another motor may make up for most of a delay, and one step away from that nothing shows. So each delay is fitted,
+        twice as long as the one before, as long as that is likelier.
+        """
+        start = replace(self.begin, held=point.model.held)
+        still = [replace(run, corrections=None) for run in point.runs]
+        first = fit(start, still, self.straight, rounds=NEAR, enough=1.0)
+        best, likeliest, tried = still, white(first, still), 0
+        for channel in sorted({c for run in still for c in run.channels if c != "temperature"}):
+            samples, model, last = 2, first.model, likeliest if best is still else white(first, still)
+            while samples <= LONGEST * min(len(run.measured) for run in still):
+                moved = [run.delayed(channel, samples) if channel in run.channels else run for run in still]
+                found = fit(model, moved, self.straight, rounds=NEAR, enough=1.0)
+                here, tried = white(found, moved), tried + 1
+                if here >= last:
+                    break
+                if here < likeliest:
+                    best, likeliest = moved, here
+                samples, model, last = 2 * samples, found.model, here
+        return best, tried if best is not still else 0
 
     def _minimised(self, point: Weighed) -> Weighed:
         # While parameters are wrong, a large error is theirs, and every sample counts.

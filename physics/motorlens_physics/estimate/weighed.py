@@ -259,10 +259,21 @@ class Weighed:
         What no noise explains has the same sign for long. Its samples are worth less than as many of noise, beside what is
         known of the parameters beforehand (Bissiri, Holmes and Walker 2016, doi:10.1111/rssb.12158).
         """
+        return replace(self, inflation=max(self._scatter, 1.0))
+
+    @property
+    def scatters(self) -> bool:
+        """Whether blocks of time scatter beyond chance."""
+        spare = len(self.scores()) - 1
+        return self._scatter > float(chdtri(spare, CHANCE)) / spare
+
+    @property
+    def _scatter(self) -> float:
+        """How much more the scores of blocks of time scatter than their noise says, as the median parameter has it."""
         gram, scores = self.normal()[0] * self.inflation, self.scores()
         told = np.diagonal(gram) > 0
         scatter = np.sum((scores - scores.mean(axis=0)) ** 2, axis=0)[told] / np.diagonal(gram)[told]
-        return replace(self, inflation=max(float(np.median(scatter)), 1.0))
+        return float(np.median(scatter))
 
     def normal(self) -> tuple[Array, Array]:
         """J^T J and J^T e, over the inflation."""
