@@ -112,13 +112,13 @@ class Timing:
             seen = from_noise(starting_as(point.model, self.wide, few), longer, noises, self.prior)
         lag = likeliest_lag(seen, self.prior)
         if lag is not None:
-            runs = [
+            one_later = [
                 run.delayed(lag.channel, lag.samples) if r == lag.r else run
                 for r, run in enumerate(point.runs)
             ]
-            return self._if_it_holds(point, runs, lag.tried)
-        runs, tried = self._farther(point) if point.scatters else (point.runs, 0)
-        return self._if_it_holds(point, runs, tried) if tried else point
+            return self._if_it_holds(point, one_later, lag.tried)
+        farther, tried = self._farther(point) if point.scatters else (point.runs, 0)
+        return self._if_it_holds(point, farther, tried) if tried else point
 
     def _if_it_holds(self, point: Weighed, runs: Sequence[Run], tried: int) -> Weighed:
         """Where runs lead whose channels were moved, the best of so many tried; the point if that is not likelier."""
