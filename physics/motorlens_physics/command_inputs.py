@@ -88,7 +88,8 @@ class CommandInputs:
         for path in paths:
             if os.path.isfile(path) and os.path.getsize(path) > LARGE_BYTES:
                 say(f"reading {path}")
-            whole = under(read_recording(path, self.columns, self.no_values), self.terminal, self.shaft)
+            read = read_recording(path, self.columns, self.no_values, self.terminal)
+            whole = under(read, shaft=self.shaft)
             found.append(within(whole, path, self.spans))
         return found
 

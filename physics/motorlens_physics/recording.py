@@ -97,6 +97,7 @@ def read_recording(
     path: Path | str,
     mapping: Mapping[str, str] | Sequence[str] = (),
     no_values: Iterable[float] | None = None,
+    terminal: str | None = None,
 ) -> Recording:
     """Read a recording: CSV and its relatives (also zipped), Parquet, MAT, MDF.
 
@@ -104,6 +105,8 @@ def read_recording(
         path: the file; `NAME.columns.toml` beside it may hold a `[columns]` table with the mapping.
         mapping: quantity to heading or formula, or the arguments of `--column`; see `files.columns.understand`.
         no_values: numbers that stand for a missing value; None looks for them.
+        terminal: what the terminals are tied to throughout, whatever its columns say; a voltage is needed only where one
+            drives them.
 
     Raises:
         DataError: empty, a required column missing, an unknown or a wrong unit, text in a number, a clock that runs back;
@@ -117,7 +120,8 @@ def read_recording(
         chosen = tomllib.loads(beside.read_text(encoding="utf-8")).get("columns", {}) | chosen
     table = read_table(path)
     columns = understand(table.headings, chosen, str(path))
-    tied = "terminal" in columns
+    how = None if terminal is None else code(Terminal, terminal, "--terminal")
+    tied = "terminal" in columns if how is None else how != Terminal.DRIVEN
     require(columns, ("time",) if tied else ("time", "voltage"), table.headings, str(path))
     used = sorted({index for column in columns.values() for index in column.uses})
     numbers = table.numbers(used)
@@ -128,7 +132,8 @@ def read_recording(
         raise DataError(f"{path}: {len(channels['time'])} rows of data; a recording needs at least two")
     refuse_counts(columns, channels.__getitem__, str(path))
     notes = [*table.notes, *_about_columns(table.headings, columns)]
-    return _Reader(path, columns, table.first_row, notes).recording(channels, no_values)
+    found = _Reader(path, columns, table.first_row, notes).recording(channels, no_values)
+    return found if terminal is None else under(found, terminal)
 
 
 def write_recording(recording: Recording, path: Path | str) -> None:
@@ -328,7 +333,7 @@ class _Reader:
     def _where_driven(self, table: dict[str, Array]) -> dict[str, Array]:
         """With a voltage where none drives the terminals: it need not be measured there, and counts for nothing."""
         if "terminal" not in table:
-            return table
+            return {"voltage": np.zeros(len(table["time"])), **table}
         driven = table["terminal"] == Terminal.DRIVEN
         if "voltage" not in table and driven.any():
             row = self._row(int(np.argmax(driven)))

@@ -63,6 +63,10 @@ WRITTEN: dict[str, str | bytes] = {
     "the heading in a comment": "# " + PLAIN,
     "a row of units": PLAIN.replace(",".join(NAMES), "time,voltage,current,speed\ns,V,A,rad/s"),
     "a row of units in brackets": PLAIN.replace(",".join(NAMES), "time,voltage,current,speed\n[s],[V],[A],[rad/s]"),
+    "symbols below a row of units": text((1e3 * TIME, VOLTAGE, CURRENT, SPEED), ("time", "voltage", "current", "speed"),
+                                         cell="{:.12g}".format).replace("speed\n", "speed\nms,V,A,rad/s\nt,u,i,w\n"),
+    "units as headings": text((1e3 * TIME, VOLTAGE, CURRENT, SPEED), ("millisec", "Volt", "Ampere", "rad/s"),
+                              cell="{:.12g}".format),
     "separators at the end": PLAIN.replace("\n", ",\n"),
     "Windows line ends": PLAIN.replace("\n", "\r\n"),
     "old Macintosh line ends": PLAIN.replace("\n", "\r"),
@@ -103,6 +107,36 @@ def test_the_same_run_is_read_however_it_is_written(tmp_path, how):
     np.testing.assert_allclose(recording.time_s, TIME, rtol=1e-9)
     for quantity, y in (("voltage", VOLTAGE), ("current", CURRENT), ("speed", SPEED)):
         np.testing.assert_allclose(recording.channels[quantity], y, rtol=1e-6, atol=1e-9)
+
+
+def test_columns_that_are_told_apart_by_their_numbers_alone(tmp_path):
+    """As oscilloscopes write two channels; a heading of which most are numbers is one all the same."""
+    rows = text((TIME, VOLTAGE, CURRENT), names=())
+    scope = "x-axis,1,2\nsecond,Volt,Volt\n" + rows
+    for mapping in (["voltage=1 [Volt]", "current=2 [Volt]/0.5[ohm]"], ["voltage=#2", "current=#3/0.5[ohm]"]):
+        recording = read(tmp_path, scope, ["time=#1", *mapping])
+        np.testing.assert_allclose(recording.channels["voltage"], VOLTAGE, rtol=1e-6)
+        np.testing.assert_allclose(recording.channels["current"], 2 * CURRENT, rtol=1e-6, atol=1e-9)
+    twice = read(tmp_path, "time_s,u_V,u_V\n" + rows, ["voltage=#2", "current=#3/0.5[ohm]"])
+    np.testing.assert_allclose(twice.channels["current"], 2 * CURRENT, rtol=1e-6, atol=1e-9)
+    with pytest.raises(DataError, match="no column '#4'"):
+        read(tmp_path, scope, ["time=#1", "voltage=#4"])
+
+
+def test_a_constant_voltage_is_said_with_its_unit(tmp_path):
+    recording = read(tmp_path, text((TIME, SPEED), ("time_s", "speed_rad_s")), ["voltage=7.8[V]"])
+    assert len(recording) == N and np.all(recording.channels["voltage"] == 7.8)
+    np.testing.assert_allclose(recording.channels["speed"], SPEED, rtol=1e-6)
+
+
+def test_a_voltage_is_needed_only_where_it_drives_the_terminals(tmp_path):
+    run = text((TIME, CURRENT, SPEED), ("time_s", "current_A", "speed_rad_s"))
+    recording = read(tmp_path, run, terminal="current")
+    np.testing.assert_allclose(recording.channels["current"], CURRENT, rtol=1e-6, atol=1e-9)
+    assert np.all(recording.channels["terminal"] == 3) and not recording.channels["voltage"].any()
+    for terminal in (None, "driven"):
+        with pytest.raises(DataError, match="no voltage column"):
+            read(tmp_path, run, terminal=terminal)
 
 
 @pytest.mark.parametrize("word", ["n/a", "NaN", "", "NULL", "-", "#N/A"])

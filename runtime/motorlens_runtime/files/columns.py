@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.formula import Cells, Formula, is_formula, parse_formula
+from motorlens_runtime.files.formula import Cells, Formula, is_formula, numbered, parse_formula
 from motorlens_runtime.files.headings import (
     QUANTITIES,
     candidates,
@@ -77,11 +77,13 @@ class Column:
     @property
     def uses(self) -> tuple[int, ...]:
         """The columns it needs."""
-        return self.formula.uses if self.formula else (self.index,)
+        return (self.formula.uses if self.formula else ()) or (self.index,)
 
     def values(self, cells: Cells) -> Array:
         """(N,) in the canonical unit, from the numbers of each column as they stand in the file."""
         numbers = self.formula.value(cells) if self.formula else cells(self.index)
+        if numbers.ndim == 0:
+            numbers = np.full(len(cells(self.index)), float(numbers))
         if (self.factor, self.offset) == (1, 0):
             return numbers
         return numbers * self.factor + self.offset
@@ -127,10 +129,11 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
     found: dict[str, Column] = {}
     for key, choice in mapping.items():
         quantity, unit = _mapped_quantity(key)
-        if choice not in cleaned and is_formula(choice, cleaned):
+        index = numbered(choice, cleaned)
+        if index is None and is_formula(choice, cleaned):
             found[quantity] = _computed(choice, cleaned, quantity, unit, where)
             continue
-        if choice not in cleaned:
+        if index is None:
             near = difflib.get_close_matches(choice, cleaned, n=1)
             hint = (
                 f"; did you mean {near[0]!r}?"
@@ -138,7 +141,7 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
                 else f"; it has {', '.join(repr(c) for c in cleaned if c)}"
             )
             raise DataError(f"{where}: no column {choice!r} for {quantity}{hint}")
-        found[quantity] = _chosen(cleaned.index(choice), choice, quantity, unit, where)
+        found[quantity] = _chosen(index, cleaned[index], quantity, unit, where)
     for index, heading in enumerate(cleaned):
         recognised = recognise(heading)
         if recognised is None or recognised[0] in {_mapped_quantity(key)[0] for key in mapping}:
@@ -155,7 +158,9 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
                 f"choose one with --column {quantity}={heading!r}"
             )
         found[quantity] = _column(index, heading, quantity, unit, where)
-    return found
+    # A constant is as long as the time.
+    constant = {q: c for q, c in found.items() if c.formula and not c.formula.uses}
+    return found | {q: replace(c, index=found["time"].index) for q, c in constant.items() if "time" in found}
 
 
 def require(
@@ -274,14 +279,15 @@ def _computed(text: str, headings: Sequence[str], quantity: str, unit: str | Non
     """A formula over columns, whose result has the quantity's dimension; a radian is a number, as in SI."""
     canonical = QUANTITIES[quantity][0]
     formula = parse_formula(text, headings, unit_in, where)
+    first = next(iter(formula.uses), 0)
     target = in_heading(canonical)
     assert target is not None
     radian = BASES.index("rad")
     without = [d[:radian] + d[radian + 1 :] for d in (formula.dimension, target.dimension)]
     if formula.plain:
-        column = _column(formula.uses[0], text, quantity, unit or "", where)
+        column = _column(first, text, quantity, unit or "", where)
     elif without[0] == without[1]:
-        column = Column(formula.uses[0], text, quantity, 1.0, 0.0)
+        column = Column(first, text, quantity, 1.0, 0.0)
     else:
         raise DataError(
             f"{where}: --column {quantity}={text}: comes out in {name_of(formula.dimension)}, {quantity} is in "

@@ -163,6 +163,7 @@ class _Parser:
             self.at += name.end()
             return self.constant(math.pi)
         if name:
+            self.at += name.end()
             return self.column(name[0])
         raise self.fail(
             f"a column or a number is missing before {rest[:10]!r}" if rest else "it ends too early"
@@ -186,13 +187,14 @@ class _Parser:
         return unit
 
     def column(self, heading: str) -> _Term:
-        if heading not in self.headings:
+        index = numbered(heading, self.headings)
+        if index is None:
             near = difflib.get_close_matches(heading, self.longest_first, n=1)
             known = ", ".join(repr(h) for h in self.headings if h)
             raise self.fail(
                 f"no column {heading!r}; " + (f"did you mean {near[0]!r}?" if near else f"it has {known}")
             )
-        index, unit, behind = self.headings.index(heading), self.unit_of(heading), self.unit()
+        unit, behind = self.unit_of(self.headings[index]), self.unit()
         if unit is not None and behind not in (None, unit):
             raise self.fail(f"the heading {heading!r} says another unit than the brackets behind it")
         unit = unit or behind
@@ -240,6 +242,18 @@ def _added(one: _Term, other: _Term, sign: float) -> _Term:
     )
 
 
+def numbered(name: str, headings: Sequence[str]) -> int | None:
+    """The index of a column by its heading or, as of a file without any, by its number: `#3`; None if there is none.
+
+    >>> numbered("u", ["t", "u", "u"]), numbered("#3", ["t", "u", "u"]), numbered("#4", ["t", "u", "u"])
+    (1, 2, None)
+    """
+    if name in headings:
+        return list(headings).index(name)
+    number = re.fullmatch(r"#([1-9]\d*)", name)
+    return int(number[1]) - 1 if number and int(number[1]) <= len(headings) else None
+
+
 def is_formula(text: str, headings: Sequence[str]) -> bool:
     """Whether a text that is no heading is meant as a formula, and not as a heading with a slip in it."""
     if re.search(r"[*/+]|\[.*\]$", text):
@@ -263,8 +277,8 @@ def parse_formula(text: str, headings: Sequence[str], unit_of: UnitOf, where: st
     term = parser.sum()
     if parser.at < len(parser.text):
         raise parser.fail(f"{parser.text[parser.at :][:20]!r} is not understood")
-    if not term.uses:
-        raise parser.fail("it holds no column of the file")
+    if not term.uses and term.plain:
+        raise parser.fail("it holds no column of the file; give a constant its unit, as in 8.5[V]")
     return Formula(
         text,
         tuple(dict.fromkeys(term.uses)),

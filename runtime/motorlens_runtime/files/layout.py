@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.headings import unit_text
@@ -174,18 +175,26 @@ def _writing(lines: Sequence[str]) -> tuple[str, str, int, int]:
     """Separator, decimal mark, the index of the first line of numbers, and the number of cells in it."""
     best: tuple[int, str, str, int, int] | None = None
     for separator, decimal in _WRITINGS:
+        # Of each line which cells are words, and how many are numbers.
         counted = []
         for line in lines:
             cells = split(line, separator)
             kinds = [number(cell, decimal) for cell in cells]
             numbers = sum(kind is not None and cell != "" for kind, cell in zip(kinds, cells, strict=True))
-            counted.append((len(cells), numbers, sum(kind is None for kind in kinds)))
-        rows = [at for at, (_, numbers, words) in enumerate(counted) if numbers >= max(_FEWEST, words)]
+            counted.append(([kind is None for kind in kinds], numbers))
+        rows = [at for at, (words, numbers) in enumerate(counted) if numbers >= max(_FEWEST, sum(words))]
         if not rows:
             continue
-        width = Counter(counted[at][0] for at in rows).most_common(1)[0][0]
-        rows = [at for at in rows if counted[at][0] == width]
-        score = sum(counted[at][1] - counted[at][2] for at in rows)
+        width = Counter(len(counted[at][0]) for at in rows).most_common(1)[0][0]
+        rows = [at for at in rows if len(counted[at][0]) == width]
+        score = sum(counted[at][1] - sum(counted[at][0]) for at in rows)
+        # A heading may number its columns, but has words where later rows have numbers.
+        usual = [2 * sum(column) > len(rows) for column in zip(*(counted[at][0] for at in rows), strict=True)]
+        while (
+            any(word and not often for word, often in zip(counted[rows[0]][0], usual, strict=True))
+            and rows[1:]
+        ):
+            rows.pop(0)
         if best is None or score > best[0]:
             best = score, separator, decimal, rows[0], width
     if best is not None:
@@ -197,15 +206,15 @@ def _writing(lines: Sequence[str]) -> tuple[str, str, int, int]:
 
 
 def _headings(above: Sequence[str], separator: str, decimal: str, width: int) -> tuple[str, ...] | None:
-    """What lines above the numbers say of each column by its number, or the last line that has a name for each, with the
-    units below it; None if there is neither.
+    """What lines above the numbers say of each column by its number, or a line that has a name for each, with the units
+    below it, else the last such line; None if there is neither.
 
     Where no line of words fits, the last that is no comment is returned as it stands.
     """
     numbered = names_by_number(above, width)
     if numbered is not None:
         return numbered
-    rows = []
+    rows, numbering = [], list[str]()
     for line in above:
         bare = re.sub(r"^\s*(#|%|//|!|\*)+\s*", "", line.lstrip("\ufeff")) if is_comment(line) else line
         cells = split(bare, separator)
@@ -216,13 +225,20 @@ def _headings(above: Sequence[str], separator: str, decimal: str, width: int) ->
             cells.append("")
         if sum(number(cell, decimal) is None for cell in cells) >= 0.5 * len(cells) > 0:
             rows.append((line, cells))
+        elif len(cells) == width:
+            numbering = cells
     fitting = [cells for line, cells in rows if len(cells) == width and any(cells)]
     if not fitting:
         words = [cells for line, cells in rows if not is_comment(line)]
         return tuple(words[-1]) if words else None
+    # Short names or symbols may stand below the units.
+    for names, units in reversed(list(pairwise(fitting))):
+        if _are_units(units) and not _are_units(names):
+            return tuple(_with_unit(*both) for both in zip(names, units, strict=True))
     last = fitting[-1]
-    if len(fitting) > 1 and _are_units(last) and not _are_units(fitting[-2]):
-        return tuple(_with_unit(*both) for both in zip(fitting[-2], last, strict=True))
+    if numbering and _are_units(last) and len(set(last)) < len(last):
+        # Units alone do not tell its columns apart: they have numbers.
+        return tuple(_with_unit(*both) for both in zip(numbering, last, strict=True))
     return without_numbers(last)
 
 

@@ -58,7 +58,13 @@ def sentence(document: dict[str, Any]) -> str:
     channel = max(after, key=lambda c: abs(math.log(max(after[c], 1e-300) / max(before[c], 1e-300))))
     change = 100 * (1 - after[channel] / max(before[channel], 1e-300))
     verb = "lower" if change >= 0 else "higher"
-    return f"The error of {channel} on data held out is {abs(change):.1f} % {verb}; written to {document['written']}."
+    said = f"The error of {channel} on data held out is {abs(change):.1f} % {verb}"
+    was, now = rungs[-1 - document["new"]]["judged"], rungs[-1]["judged"]
+    if channel in now:
+        change = 100 * (1 - now[channel] / max(was[channel], 1e-300))
+        but = "but" if (change < 0) == (verb == "lower") else "and"
+        said += f", {but} {abs(change):.1f} % {'lower' if change >= 0 else 'higher'} on recordings not fitted"
+    return f"{said}; written to {document['written']}."
 
 
 def to_text(document: dict[str, Any]) -> str:
