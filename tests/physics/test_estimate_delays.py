@@ -103,6 +103,38 @@ def test_a_channel_that_was_recorded_late_is_found_moved_and_said(late: float) -
     assert abs(inertia - SLOWER["J"]) < 4 * sd
 
 
+@pytest.mark.fit
+@pytest.mark.parametrize(("late_s", "seed"), [(0.0, 0), (0.03, 0), (0.03, 1)])
+def test_a_delay_is_found_that_another_motor_makes_up_for(late_s: float, seed: int) -> None:
+    """A step from rest (its closed form, L = 0) at jittering stamps: twice the inertia makes up for most of a delay."""
+    ke, J, b, R, volts, count = 0.46, 0.0023, 0.000857, 7.0, 7.8, 150
+    rng = np.random.default_rng(seed)
+    steps = rng.uniform(0.0051, 0.0065, count)
+    steps[rng.random(count) < 0.05] *= 2.3
+    time = np.cumsum(steps)
+    damping = ke**2 / R + b
+    turned = np.clip(time - late_s - time[0], 0.0, None)
+    speed = ke / R * volts / damping * (1 - np.exp(-turned * damping / J))
+    shown = np.radians(np.round(np.degrees(speed + 0.1 * rng.standard_normal(count))))
+    plate = Rated(voltage_V=9.0, current_A=0.5, speed_rad_s=15.7, torque_Nm=0.16, rise_K=60.0)
+    stated = {"R_a0": 0.7, "L": 0.0005, "ke": 0.0525, "J": 0.00514, "b": b}
+    file = MotorFile(
+        "geared", Motor(R_a0=R, L=0.005, ke=0.35, J=0.00514, b=b, k0=0.027, kT=0.038, k_ir=0.0018, H=37.5), plate,
+        knowledge={key: Knowledge(sd, "plate") for key, sd in stated.items()},
+    )  # fmt: skip
+    recording = Recording("step.csv", time, {"voltage": np.full(count, volts), "speed": shown})
+
+    found = estimate(file, prepare_all([recording], file))
+
+    value, sd, said = found.fit.model.values(), found.fit.sd(), delays_of(found.fit, found.runs)
+    assert found.converged
+    assert value["ke"] == pytest.approx(ke, rel=0.01) and value["J"] == pytest.approx(J, rel=0.05)
+    assert 0.02 * J < sd["J"] < 0.15 * J
+    assert [one.channel for one in said] == (["speed"] if late_s else [])
+    for one in said:
+        assert one.value_s == pytest.approx(late_s, abs=min(3 * one.sd_s, 0.0015))
+
+
 def test_sensitivities_are_those_of_what_is_shown_late() -> None:
     # Central differences of the prediction: a step of the voltage moves a current that is sampled late as it moves that.
     time = np.arange(600) * PERIOD_S

@@ -185,6 +185,13 @@ class Delay:
         return f"{self.recording}: {self.channel} comes {size} {way} its voltage; it was moved by as much, but {why}."
 
 
+def _lasting(run: Run, samples: int) -> float:
+    """How long so many samples of a run mostly last, in seconds: stamps may jitter."""
+    apart = abs(samples)
+    lasts = run.inputs.time_s[apart:] - run.inputs.time_s[: len(run.measured) - apart]
+    return float(np.sign(samples) * np.median(lasts))
+
+
 def delays_of(found: Fit, runs: Sequence[Run]) -> tuple[Delay, ...]:
     """The channels of fitted runs that are late, or early, beyond doubt and by more than converters usually are."""
     sd = found.sd()
@@ -192,7 +199,7 @@ def delays_of(found: Fit, runs: Sequence[Run]) -> tuple[Delay, ...]:
     for r, run in enumerate(runs):
         for channel in run.channels:
             skew = found.model.own[r].get(f"skew.{channel}", 0.0)
-            value = run.late.get(channel, 0) * run.period_s + skew
+            value = _lasting(run, run.late.get(channel, 0)) + skew
             spread = sd.get(f"skew.{channel}@{r}", 0.0)
             if abs(value) > max(SKEW * run.period_s, SURE * spread):
                 late.append(Delay(run.name, channel, value, spread))

@@ -44,7 +44,9 @@ _REVOLUTION = tuple({"rad": 1, "cycle": -1}.get(base, 0) for base in BASES)
 # Words that make another quantity of a name, as `sd` and `rise` do in what `infer` writes.
 _OTHER_WORDS = frozenset(("ref", "raw", "cmd", "set", "max", "min", "sd", "rise"))
 # Units that stand for their quantity where a heading is nothing else.
-_SPEAKING = re.compile("rpm|volts?|amps?|amperes?|seconds?|millisec(?:ond)?s?|ms|us|rad/s|celsius|degc", re.IGNORECASE)
+_SPEAKING = re.compile(
+    "rpm|volts?|amps?|amperes?|seconds?|millisec(?:ond)?s?|ms|us|rad/s|celsius|degc", re.IGNORECASE
+)
 
 
 def recognise(heading: str) -> tuple[str, str] | None:
