@@ -20,10 +20,10 @@ DOCUMENT = {
     ],
     "groups": [["dead_current_sensor"], ["stribeck_friction", "coulomb_friction"], ["dead_time"]],
     "candidates": [
-        {"name": "dead_current_sensor", "gain": 0.0, "probability": 1.0},
-        {"name": "stribeck_friction", "gain": 41.0, "probability": 0.1},
-        {"name": "coulomb_friction", "gain": 40.0, "probability": 0.9},
-        {"name": "dead_time", "gain": 9.0, "probability": 1.0},
+        {"name": "dead_current_sensor", "gain": 0.0, "probability": 1.0, "p": 1e-9},
+        {"name": "stribeck_friction", "gain": 41.0, "probability": 0.1, "p": 1e-10},
+        {"name": "coulomb_friction", "gain": 40.0, "probability": 0.9, "p": 1e-9},
+        {"name": "dead_time", "gain": 9.0, "probability": 1.0, "p": 1e-4},
     ],
 }
 
@@ -37,6 +37,16 @@ def test_it_is_understood_by_add_and_names_the_likeliest_of_each_group_that_can_
     assert given.motor == "my motor.toml" and given.fit == ["run 1.csv", "run2.csv"]
     assert given.column == ["voltage=duty*supply [V]"] and given.range == ["2:8.5"]
     assert given.terminal == "current" and given.driven
+
+
+def test_what_is_seen_goes_before_what_is_likelier_and_is_not():
+    candidates = [
+        {**one, "p": 0.76} if one["name"] == "coulomb_friction" else one for one in DOCUMENT["candidates"]
+    ]
+    assert shlex.split(next_command({**DOCUMENT, "candidates": candidates}))[2:4] == [
+        "stribeck_friction",
+        "dead_time",
+    ]
 
 
 def test_what_was_made_better_is_made_better_again_beside_it():

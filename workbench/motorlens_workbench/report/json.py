@@ -34,6 +34,8 @@ from motorlens_workbench.verdict import (
 )
 
 SHOWN = 12
+# What is likelier by chance than this is not seen.
+SEEN = 0.01
 
 
 def to_json(
@@ -133,6 +135,10 @@ def _candidate(
     # Of what is in the model, the size that would have been seen is that of the look that saw it.
     look = first if accepted or rival else (last or first)
     least = abs(hypothesis.typical) * detectable(found, look) if look else float("inf")
+    if accepted:
+        # It was seen at its size: a look from afar, with the model bent by what it lacks, may ask for more.
+        null = found.outcome.last.fitted.model.file.meaning(hypothesis.key).null or 0.0
+        least = min(least, abs(measured(found, accepted)[0] - null))
     weight = accepted.weight if accepted else seen.weight if seen and seen.possible else 0.0
     return {
         "name": name,
@@ -266,8 +272,11 @@ def next_command(document: Mapping[str, Any]) -> str:
         [name for name in group if name in listed and listed[name]["gain"] > 0]
         for group in document["groups"]
     ]
+    # One that explains nothing from where the others have led was estimated from the beginning, which `add` may not find.
     likeliest = [
-        max(names, key=lambda name: float(listed[name]["probability"])) for names in addable if names
+        max(names, key=lambda name: (listed[name]["p"] <= SEEN, float(listed[name]["probability"])))
+        for names in addable
+        if names
     ]
     if not likeliest:
         return ""
@@ -292,7 +301,7 @@ def size_text(entry: Mapping[str, Any]) -> str:
     size = next(iter(entry["parameters"].values()), None)
     if size is None or not np.isfinite(size["sd"]):
         return "not seen"
-    if entry["probability"] == 0.0 and (entry["p"] > 0.01 or entry["minimum_detectable"] is None):
+    if entry["probability"] == 0.0 and (entry["p"] > SEEN or entry["minimum_detectable"] is None):
         return "not seen"
     return f"{size['value']:.3g} +- {size['sd']:.2g} {_unit(size)}".rstrip()
 
