@@ -201,13 +201,17 @@ def coloured(
     if cost - least < chdtri(TORQUE + len(run.channels), CHANCE / len(first)):
         return noise
     # Durations differ by less than a noise still gains that has not converged, and than one gains that goes on from another.
+    other, least = tried(begin, usual, CONVERGED)
+    longer = likelier(other.correlated(longest * run.period_s), run, linear, error, used, CONVERGED)[1]
+    if least - longer > chdtri(1, CHANCE):
+        return noise
     likeliest = minimize_scalar(
         lambda logarithm: tried(begin, np.exp(logarithm), CONVERGED)[1],
         bounds=(float(np.log(shortest)), float(np.log(longest))),
         method="bounded",
         options={"xatol": DURATION},
     )
-    if likeliest.x > np.log(usual) and tried(begin, usual, CONVERGED)[1] - likeliest.fun > chdtri(1, CHANCE):
+    if likeliest.x > np.log(usual) and least - likeliest.fun > chdtri(1, CHANCE):
         return noise
     other, _ = tried(begin, np.exp(likeliest.x), CONVERGED)
     left = read(other.space(run, linear, used), error).filtered.white[:, :, 0]
