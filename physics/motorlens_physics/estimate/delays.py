@@ -56,8 +56,10 @@ def likeliest_lag(point: Weighed, prior: Prior) -> Lag | None:
     """
     best, inflation = None, point.tempered().inflation
     for r, part in enumerate(point.parts):
+        steps = np.diff(part.run.inputs.time_s)
         most = int(LONGEST * len(part.error))
-        if most < 2:
+        # Beside uneven steps a signal that is moved is not what it would have been; there delays are fitted (`timing`).
+        if most < 2 or np.ptp(steps) > 0.5 * np.median(steps):
             continue
         lags, tried = np.arange(-most, most + 1), (2 * most + 1) * len(part.run.channels)
         free = [j for j, k in enumerate(part.mine) if not prior.keys[k].startswith("skew.")]
@@ -109,18 +111,18 @@ def gains_of_lags(part: Errors, c: int, most: int, columns: Array, width: Array)
         products = irfft(np.sum(rfft(y, size, axis=0) * spectrum, axis=1), size)
         return np.asarray(products[lags])
 
-    left = _between(rest**2, first, last) + _between(moved**2, first - lags, last - lags) - 2 * across(rest)
+    left = _between(rest, first, last) + _between(moved, first - lags, last - lags) - 2 * across(rest)
     gram = np.tensordot(slopes, slopes, axes=([0, 1], [0, 1])) + np.diag(width**-2.0)
     score = np.array(
-        [_between(slope * rest, first, last) - across(slope) for slope in np.moveaxis(slopes, 2, 0)]
+        [float(np.sum(slope * rest)) - across(slope) for slope in np.moveaxis(slopes, 2, 0)]
     ).reshape(-1, len(lags))
     by_step = np.sum(score * (inverse(gram) @ score), axis=0) if len(width) else np.zeros(len(lags))
-    return np.asarray(_between(error**2, first, last) - left + by_step - by_step[most])
+    return np.asarray(_between(error, first, last) - left + by_step - by_step[most])
 
 
 def _between(y: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
-    """Sums of the rows of (N, C) from each first to each last."""
-    total = np.concatenate([[0.0], np.cumsum(np.sum(y, axis=1))])
+    """Sums of squares of the rows of (N, C) from each first to each last."""
+    total = np.concatenate([[0.0], np.cumsum(np.sum(y * y, axis=1))])
     return np.asarray(total[last] - total[first])
 
 
