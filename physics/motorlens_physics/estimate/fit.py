@@ -426,9 +426,12 @@ def fit(model: Model, runs: Sequence[Run], prior: Prior, *, rounds: int = 12, en
 
 
 def white(found: Fit, runs: Sequence[Run]) -> float:
-    """Twice the negative logarithmic likelihood of what a fit leaves, as white noise as large as that in each channel."""
+    """Twice the negative logarithmic likelihood of what a fit leaves, as white noise as large as that in each channel.
+
+    Samples that are missing, as where a channel was moved, count as what the others leave in the mean.
+    """
     return sum(
-        2.0 * len(residual[run.fresh()]) * float(np.sum(np.log(_sizes(residual, run))))
+        2.0 * len(residual) * float(np.sum(np.log(_sizes(residual, run))))
         for residual, run in zip(found.residuals, runs, strict=True)
     )
 

@@ -138,9 +138,10 @@ class Timing:
         start = replace(self.begin, held=point.model.held)
         still = [replace(run, corrections=None) for run in point.runs]
         first = fit(start, still, self.straight, rounds=NEAR, enough=1.0)
-        best, likeliest, tried = still, white(first, still), 0
+        begun_at = likeliest = white(first, still)
+        best, tried = still, 0
         for channel in sorted({c for run in still for c in run.channels if c != "temperature"}):
-            samples, model, last = 2, first.model, likeliest if best is still else white(first, still)
+            samples, model, last = 2, first.model, begun_at
             while samples <= LONGEST * min(len(run.measured) for run in still):
                 moved = [run.delayed(channel, samples) if channel in run.channels else run for run in still]
                 found = fit(model, moved, self.straight, rounds=NEAR, enough=1.0)
