@@ -6,7 +6,10 @@ from helpers.hidden import plant
 from scipy.stats import gamma, norm
 
 from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile, voltage_commanded
@@ -77,3 +80,15 @@ def test_a_step_a_file_does_not_end_at_a_twentieth_of_the_motor_constant(seed):
     assert 0.9 * true["ke"] < ke < 1.2 * true["ke"]
     left = [float(np.sqrt(np.mean(residual**2))) for residual in found.fit.residuals]
     assert max(left) < 0.5, "left to itself the other motor is 5 rad/s off"
+
+
+@pytest.mark.parametrize(("deviations", "told"), [(4.0, False), (6.0, True)])
+def test_what_has_gone_far_is_not_put_back_though_hardly_better_known(deviations: float, told: bool) -> None:
+    """Recordings that move a parameter by six deviations say something of it, however much they leave open."""
+    centre, sd = 0.00154, 0.0002
+    plate = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
+    file = MotorFile("plate", Motor(b=centre + deviations * sd), plate)
+    prior = Prior({"b": centre}, {"b": sd}, {"b": (0.0, 1.0)})
+    said = findings(Fit(Model(file, (), ()), prior, np.array([[(0.97 * sd) ** 2]]), ()))
+    assert ("b" in said.told) == told and ("b" in said.far) == told
+    assert said.value["b"] == pytest.approx(centre + told * deviations * sd)

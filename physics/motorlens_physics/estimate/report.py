@@ -92,7 +92,8 @@ def findings(fit: Fit) -> Findings:
         unit = "" if unit == "1" else f" {unit}"
         value[key], sd[key] = fitted[key], min(deviation[key], widths[key])
         left = sd[key] / widths[key]
-        if left > UNTOLD:
+        # What has gone as far as contradicts the file was led there by data: back where it was, nothing would fit.
+        if left > UNTOLD and penalty[key] < FAR**2:
             value[key], sd[key] = centre, width
             untold[key] = (
                 f"{key}: these recordings do not tell it ({left:.0%} of its prior deviation is left); "
@@ -109,7 +110,7 @@ def findings(fit: Fit) -> Findings:
                     "or missing from the model"
                 )
         # What the recordings add to the prior moves its centre by as much as its variance shrinks.
-        beyond = np.sqrt(penalty[key] / (1 - left**2))
+        beyond = np.sqrt(penalty[key] / (1 - min(left, UNTOLD) ** 2))
         if beyond >= FAR:
             far[key] = (
                 f"{key}: {value[key]:.4g}{unit} is {beyond:.0f} standard deviations from the motor file's "
