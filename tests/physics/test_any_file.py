@@ -123,6 +123,11 @@ def test_columns_that_are_told_apart_by_their_numbers_alone(tmp_path):
         read(tmp_path, scope, ["time=#1", "voltage=#4"])
 
 
+def test_a_first_row_with_a_word_in_it_is_no_heading(tmp_path):
+    with pytest.raises(DataError, match=r"row 2.*'overload' is not a number"):
+        read(tmp_path, text().replace("\n", "\n0,overload,0,0\n", 1))
+
+
 def test_a_constant_voltage_is_said_with_its_unit(tmp_path):
     recording = read(tmp_path, text((TIME, SPEED), ("time_s", "speed_rad_s")), ["voltage=7.8[V]"])
     assert len(recording) == N and np.all(recording.channels["voltage"] == 7.8)

@@ -129,10 +129,11 @@ def strange(a, b):
 
 
 @pytest.mark.parametrize(
-    "line", ["for k in x: pass", "y = [1.0]", "y = x @ x", "y = math.nosuch(a)", "y = print(a)"]
+    "line",
+    ["for k in x: pass", "y = [1.0]", "y = x @ x", "y = math.nosuch(a)", "y = print(a)", "y = x[0, 3:12]"],
 )
 def test_what_is_not_understood_is_refused_by_name(line: str, tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"nosuch|print|for k|\[1\.0\]|x @ x"):
+    with pytest.raises(ModelError, match=r"nosuch|print|for k|\[1\.0\]|x @ x|3:12"):
         native(f"def f(a, x):\n    {line}\n    return a\n", {"f": float64(float64, float64[::1])}, tmp_path)
 
 

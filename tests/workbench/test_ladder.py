@@ -12,6 +12,7 @@ from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.ladder import add
+from motorlens_workbench.report.ladder import sentence
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 SEEN = ("voltage", "speed", "ambient")
@@ -101,3 +102,29 @@ def test_of_several_that_which_explains_nothing_is_named(rough, recording):
     assert found.why.startswith("what quadratic drag explains is within chance")
     with pytest.raises(DataError, match="coulomb_friction is named twice"):
         add(rough, ["coulomb_friction", "constant_torque", "coulomb_friction"], [recording])
+
+
+@pytest.mark.parametrize(
+    ("judged", "said"),
+    [
+        (
+            (38.29, 125.9),
+            "is 50.0 % lower, but 228.8 % higher on recordings not fitted; written to better.toml.",
+        ),
+        ((8.0, 6.0), "is 50.0 % lower, and 25.0 % lower on recordings not fitted; written to better.toml."),
+        ((), "is 50.0 % lower; written to better.toml."),
+    ],
+)
+def test_what_became_of_recordings_not_fitted_is_said(judged, said):
+    rungs = [
+        {"held_out": {"speed": error}, "judged": {"speed": judged[k]} if judged else {}}
+        for k, error in enumerate((2.0, 1.0))
+    ]
+    document = {
+        "effect": "stribeck_friction",
+        "supported": True,
+        "ladder": rungs,
+        "new": 1,
+        "written": "better.toml",
+    }
+    assert sentence(document).endswith(said)

@@ -245,7 +245,11 @@ class _Writer:
                 return ir.Constant(_DOUBLE, getattr(math, name))
             case ast.Tuple():
                 return [self._value(element, values) for element in node.elts]
-            case ast.Subscript(slice=ast.Tuple(elts=[row, ast.Slice(upper=ast.Constant(value=int(width)))])):
+            case ast.Subscript(
+                slice=ast.Tuple(
+                    elts=[row, ast.Slice(ast.Constant(value=0), ast.Constant(value=int(width)), None)]
+                )
+            ):
                 first = ast.Subscript(node.value, ast.Tuple([row, ast.Constant(0)]))
                 of = ir.VectorType(_DOUBLE, width).as_pointer()
                 return builder.load(builder.bitcast(self._place(first, values), of), align=8)

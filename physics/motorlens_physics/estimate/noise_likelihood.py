@@ -201,9 +201,10 @@ def coloured(
     if cost - least < chdtri(TORQUE + len(run.channels), CHANCE / len(first)):
         return noise
     # Durations differ by less than a noise still gains that has not converged, and than one gains that goes on from another.
-    other, least = tried(begin, usual, CONVERGED)
-    longer = likelier(other.correlated(longest * run.period_s), run, linear, error, used, CONVERGED)[1]
+    usually, least = tried(begin, usual, CONVERGED)
+    longer = likelier(usually.correlated(longest * run.period_s), run, linear, error, used, CONVERGED)[1]
     if least - longer > chdtri(1, CHANCE):
+        # It lasts longer than noise: how long need not be sought.
         return noise
     likeliest = minimize_scalar(
         lambda logarithm: tried(begin, np.exp(logarithm), CONVERGED)[1],

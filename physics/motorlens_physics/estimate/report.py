@@ -109,7 +109,8 @@ def findings(fit: Fit) -> Findings:
                     else f"{key}: ends at {bound:.4g}{unit}, the edge of what is possible; something else is wrong, "
                     "or missing from the model"
                 )
-        # What the recordings add to the prior moves its centre by as much as its variance shrinks.
+        # What the recordings add to the prior moves its centre by as much as its variance shrinks; that of a parameter that
+        # they hardly tell, and have moved all the same, by no less than makes it told.
         beyond = np.sqrt(penalty[key] / (1 - min(left, UNTOLD) ** 2))
         if beyond >= FAR:
             far[key] = (

@@ -112,13 +112,13 @@ class Timing:
             seen = from_noise(starting_as(point.model, self.wide, few), longer, noises, self.prior)
         lag = likeliest_lag(seen, self.prior)
         if lag is not None:
-            one_later = [
+            later = [
                 run.delayed(lag.channel, lag.samples) if r == lag.r else run
                 for r, run in enumerate(point.runs)
             ]
-            return self._if_it_holds(point, one_later, lag.tried)
-        farther, tried = self._farther(point) if point.scatters else (point.runs, 0)
-        return self._if_it_holds(point, farther, tried) if tried else point
+            return self._if_it_holds(point, later, lag.tried)
+        farther = self._farther(point) if point.scatters else None
+        return point if farther is None else self._if_it_holds(point, *farther)
 
     def _if_it_holds(self, point: Weighed, runs: Sequence[Run], tried: int) -> Weighed:
         """Where runs lead whose channels were moved, the best of so many tried; the point if that is not likelier."""
@@ -129,8 +129,8 @@ class Timing:
         other = self._minimised(begun(rough.model, along, self.prior))
         return other if gained(point, other, self.prior) > needed(tried) else point
 
-    def _farther(self, point: Weighed) -> tuple[Sequence[Run], int]:
-        """Runs with a channel moved as far as makes least squares likeliest, and how many ways were tried; 0 if none is.
+    def _farther(self, point: Weighed) -> tuple[Sequence[Run], int] | None:
+        """All runs with a channel moved as far as makes least squares likeliest, and how many ways were tried; or None.
 
         Another motor may make up for most of a delay, and one step away from that nothing shows. So each delay is fitted,
         twice as long as the one before, as long as that is likelier.
@@ -151,7 +151,7 @@ class Timing:
                 if here < likeliest:
                     best, likeliest = moved, here
                 samples, model, last = 2 * samples, found.model, here
-        return best, tried if best is not still else 0
+        return None if best is still else (best, tried)
 
     def _minimised(self, point: Weighed) -> Weighed:
         # While parameters are wrong, a large error is theirs, and every sample counts.

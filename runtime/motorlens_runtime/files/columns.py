@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.formula import Cells, Formula, is_formula, numbered, parse_formula
+from motorlens_runtime.files.formula import Cells, Formula, index_of, is_formula, parse_formula
 from motorlens_runtime.files.headings import (
     QUANTITIES,
     candidates,
@@ -129,7 +129,7 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
     found: dict[str, Column] = {}
     for key, choice in mapping.items():
         quantity, unit = _mapped_quantity(key)
-        index = numbered(choice, cleaned)
+        index = index_of(choice, cleaned)
         if index is None and is_formula(choice, cleaned):
             found[quantity] = _computed(choice, cleaned, quantity, unit, where)
             continue

@@ -187,7 +187,7 @@ class _Parser:
         return unit
 
     def column(self, heading: str) -> _Term:
-        index = numbered(heading, self.headings)
+        index = index_of(heading, self.headings)
         if index is None:
             near = difflib.get_close_matches(heading, self.longest_first, n=1)
             known = ", ".join(repr(h) for h in self.headings if h)
@@ -242,10 +242,10 @@ def _added(one: _Term, other: _Term, sign: float) -> _Term:
     )
 
 
-def numbered(name: str, headings: Sequence[str]) -> int | None:
+def index_of(name: str, headings: Sequence[str]) -> int | None:
     """The index of a column by its heading or, as of a file without any, by its number: `#3`; None if there is none.
 
-    >>> numbered("u", ["t", "u", "u"]), numbered("#3", ["t", "u", "u"]), numbered("#4", ["t", "u", "u"])
+    >>> index_of("u", ["t", "u", "u"]), index_of("#3", ["t", "u", "u"]), index_of("#4", ["t", "u", "u"])
     (1, 2, None)
     """
     if name in headings:

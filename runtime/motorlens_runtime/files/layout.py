@@ -188,12 +188,10 @@ def _writing(lines: Sequence[str]) -> tuple[str, str, int, int]:
         width = Counter(len(counted[at][0]) for at in rows).most_common(1)[0][0]
         rows = [at for at in rows if len(counted[at][0]) == width]
         score = sum(counted[at][1] - sum(counted[at][0]) for at in rows)
-        # A heading may number its columns, but has words where later rows have numbers.
+        # A heading may number its columns, but has words where other rows have numbers, and more of the heading below it.
         usual = [2 * sum(column) > len(rows) for column in zip(*(counted[at][0] for at in rows), strict=True)]
-        while (
-            any(word and not often for word, often in zip(counted[rows[0]][0], usual, strict=True))
-            and rows[1:]
-        ):
+        odd = any(word and not often for word, often in zip(counted[rows[0]][0], usual, strict=True))
+        if odd and rows[1:] and rows[1] > rows[0] + 1:
             rows.pop(0)
         if best is None or score > best[0]:
             best = score, separator, decimal, rows[0], width

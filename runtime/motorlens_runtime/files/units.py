@@ -79,7 +79,7 @@ def _atoms() -> dict[str, Unit]:
 def _words(atoms: dict[str, Unit]) -> dict[str, Unit]:
     """Units written out, in lower case."""
     written = {
-        "s": "sec secs second seconds sekunde sekunden", 
+        "s": "sec secs second seconds sekunde sekunden",
         "ms": "msec msecs millis millisec millisecs millisecond milliseconds",
         "us": "usec microsecond microseconds", "min": "mins minute minutes minuten", "h": "hr hrs hour hours",
         "d": "day days", "V": "volt volts", "mV": "millivolt millivolts", "A": "amp amps ampere amperes",

@@ -56,15 +56,17 @@ def sentence(document: dict[str, Any]) -> str:
         return f"The data do not support {name}: {document['why_not']}{end}."
     before, after = rungs[-1 - document["new"]]["held_out"], rungs[-1]["held_out"]
     channel = max(after, key=lambda c: abs(math.log(max(after[c], 1e-300) / max(before[c], 1e-300))))
-    change = 100 * (1 - after[channel] / max(before[channel], 1e-300))
-    verb = "lower" if change >= 0 else "higher"
-    said = f"The error of {channel} on data held out is {abs(change):.1f} % {verb}"
+    said = f"The error of {channel} on data held out is {_change(before[channel], after[channel])}"
     was, now = rungs[-1 - document["new"]]["judged"], rungs[-1]["judged"]
     if channel in now:
-        change = 100 * (1 - now[channel] / max(was[channel], 1e-300))
-        but = "but" if (change < 0) == (verb == "lower") else "and"
-        said += f", {but} {abs(change):.1f} % {'lower' if change >= 0 else 'higher'} on recordings not fitted"
+        but = "and" if (after[channel] > before[channel]) == (now[channel] > was[channel]) else "but"
+        said += f", {but} {_change(was[channel], now[channel])} on recordings not fitted"
     return f"{said}; written to {document['written']}."
+
+
+def _change(before: float, after: float) -> str:
+    change = 100 * (1 - after / max(before, 1e-300))
+    return f"{abs(change):.1f} % {'lower' if change >= 0 else 'higher'}"
 
 
 def to_text(document: dict[str, Any]) -> str:
