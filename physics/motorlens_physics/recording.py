@@ -30,6 +30,7 @@ from motorlens_runtime.files.columns import (
     understand,
     units_offered,
 )
+from motorlens_runtime.files.formula import ROW
 from motorlens_runtime.files.guesses import refuse_counts
 from motorlens_runtime.files.headings import candidates
 from motorlens_runtime.files.words import WORDS
@@ -123,8 +124,9 @@ def read_recording(
     how = None if terminal is None else code(Terminal, terminal, "--terminal")
     tied = "terminal" in columns if how is None else how != Terminal.DRIVEN
     require(columns, ("time",) if tied else ("time", "voltage"), table.headings, str(path))
-    used = sorted({index for column in columns.values() for index in column.uses})
-    numbers = table.numbers(used)
+    used = sorted({index for column in columns.values() for index in column.uses} - {ROW})
+    numbers = dict(table.numbers(used))
+    numbers[ROW] = np.arange(max(map(len, numbers.values()), default=0), dtype=np.float64)
     if columns["time"].index in table.dated and not columns["time"].formula:
         columns["time"] = in_seconds(columns["time"])
     channels = {quantity: column.values(numbers.__getitem__) for quantity, column in columns.items()}

@@ -1,5 +1,6 @@
 """One run in the many ways people write it: read as the plain file is, or refused with what to do about it."""
 
+import contextlib
 import gc
 import gzip
 import shlex
@@ -132,6 +133,38 @@ def test_a_constant_voltage_is_said_with_its_unit(tmp_path):
     recording = read(tmp_path, text((TIME, SPEED), ("time_s", "speed_rad_s")), ["voltage=7.8[V]"])
     assert len(recording) == N and np.all(recording.channels["voltage"] == 7.8)
     np.testing.assert_allclose(recording.channels["speed"], SPEED, rtol=1e-6)
+
+
+def test_rows_of_a_known_rate_need_no_time(tmp_path):
+    """Of a recording and of a stream of one, in blocks: the number of the row goes on."""
+    rows = text((VOLTAGE, CURRENT, SPEED), NAMES[1:])
+    for column in ("time=0.001[s]*(row+1)", "time=(row+1)/1000", "time_ms=row+1"):
+        recording = read(tmp_path, rows, [column])
+        np.testing.assert_allclose(recording.time_s, TIME, rtol=1e-9)
+        np.testing.assert_allclose(recording.channels["speed"], SPEED, rtol=1e-6)
+    constant = read(tmp_path, text((SPEED,), ("speed_rad_s",)), ["time_ms=row", "voltage=7.8[V]"])
+    assert len(constant) == N and np.all(constant.channels["voltage"] == 7.8)
+    (tmp_path / "many.csv").write_text(NAMES[1] + "," + NAMES[2] + "\n" + "1.5,0.25\n" * 200_000)
+    with contextlib.closing(CsvStream(tmp_path / "many.csv", {"time_ms": "row"}, None)) as stream:
+        blocks = list(stream)
+    assert len(blocks) > 1
+    stamps = np.concatenate([block.samples.time_ns for block in blocks])
+    np.testing.assert_array_equal(stamps, 1_000_000 * np.arange(200_000))
+    with pytest.raises(DataError, match=r"no time column.*'time=row\*0\.001\[s\]'"):
+        read(tmp_path, rows)
+    with pytest.raises(DataError, match="whole numbers without a unit"):
+        read(tmp_path, rows, ["time=row"])
+    named = read(tmp_path, text((TIME, VOLTAGE, 2 * CURRENT), ("time_s", "voltage_V", "row")), ["current=row/2"])
+    np.testing.assert_allclose(named.channels["current"], CURRENT, rtol=1e-6, atol=1e-9)
+
+
+def test_what_a_heading_says_can_be_refused(tmp_path):
+    """A column that is another machine's, whatever it is called."""
+    recording = read(tmp_path, text(), ["current=none"])
+    assert not recording.has("current") and recording.has("speed")
+    assert any(note.startswith("not used: current_A") for note in recording.notes)
+    with pytest.raises(DataError, match="no voltage column"):
+        read(tmp_path, text(), ["voltage=none"])
 
 
 def test_a_voltage_is_needed_only_where_it_drives_the_terminals(tmp_path):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import DataError
-from motorlens_runtime.files.formula import Cells, Formula, index_of, is_formula, parse_formula
+from motorlens_runtime.files.formula import ROW, Cells, Formula, index_of, is_formula, parse_formula
 from motorlens_runtime.files.headings import (
     QUANTITIES,
     candidates,
@@ -47,6 +47,8 @@ _TIES = {
 }
 # Of a file without a heading line, for an example.
 _USUAL_ORDER = ("time", "voltage", "current", "speed", "temperature")
+# As the choice of a column: none of the file's.
+_NOTHING = "none"
 _DUTY = re.compile(r"duty|pwm|tastgrad", re.IGNORECASE)
 _SUPPLY = re.compile(r"bat|supply|bus|vdc|dc.?link|versorgung", re.IGNORECASE)
 
@@ -116,7 +118,7 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
         headings: the first line of the file, one string a column.
         mapping: the user's own choices, `{"speed": "wL_rad_s"}`; a unit may be given on either side
             (`{"speed_deg_s": "y"}`), and without one the canonical unit is assumed. A formula over columns will do
-            (`{"voltage": "duty_pct*vbat_V/100"}`), see `formula`.
+            (`{"voltage": "duty_pct*vbat_V/100"}`), see `formula`. "none" is no column at all: nothing is taken for the quantity.
         where: the file's name, for messages.
 
     Returns:
@@ -130,6 +132,8 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
     for key, choice in mapping.items():
         quantity, unit = _mapped_quantity(key)
         index = index_of(choice, cleaned)
+        if index is None and choice == _NOTHING:
+            continue
         if index is None and is_formula(choice, cleaned):
             found[quantity] = _computed(choice, cleaned, quantity, unit, where)
             continue
@@ -141,7 +145,8 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
                 else f"; it has {', '.join(repr(c) for c in cleaned if c)}"
             )
             raise DataError(f"{where}: no column {choice!r} for {quantity}{hint}")
-        found[quantity] = _chosen(index, cleaned[index], quantity, unit, where)
+        heading = choice if index == ROW else cleaned[index]
+        found[quantity] = _chosen(index, heading, quantity, unit, where)
     for index, heading in enumerate(cleaned):
         recognised = recognise(heading)
         if recognised is None or recognised[0] in {_mapped_quantity(key)[0] for key in mapping}:
@@ -188,6 +193,8 @@ def require(
 
 def _cure(quantity: str, headings: Sequence[str]) -> str:
     """How a quantity that no heading names may be mapped."""
+    if quantity == "time" and not candidates(quantity, headings):
+        return "rows that follow each other in the same time, say 1 ms, are --column 'time=row*0.001[s]'"
     duty = next((h for h in headings if _DUTY.search(h)), None) if quantity == "voltage" else None
     supply = next((h for h in headings if _SUPPLY.search(h)), None)
     percent = duty is not None and unit_in(duty) is not None

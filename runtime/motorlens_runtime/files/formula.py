@@ -1,7 +1,7 @@
 """What `--column voltage=duty_pct*vbat_V/100` says: a formula over columns of a recording, with its units checked.
 
 Columns enter by their heading and are converted to SI by the unit written in it, or behind it where it has none:
-`y[deg/s]`. A constant may have a unit, `0.033[m]`; `pi` is one. `+ - * /` and brackets; a heading that is no plain word is
+`y[deg/s]`. A constant may have a unit, `0.033[m]`; `pi` is one. `row` is the number of the row, from 0: `row*0.001[s]`. `+ - * /` and brackets; a heading that is no plain word is
 written as it stands or between quotes. Nothing is evaluated but these.
 
 A constant without a unit that equals the conversion of a column's unit (100 of a percentage, 1000 of millivolts) states that
@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 Cells = Callable[[int], Array]
 UnitOf = Callable[[str], Unit | None]
 
+# The column `row`, that is in no file: the number of each row, from 0.
+ROW = -1
+_ROW = "row"
 # A typed conversion (0.1047 for rpm) is the unit's to the digits that were typed.
 _SAME = 1e-3
 _DIGITS = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -194,7 +197,7 @@ class _Parser:
             raise self.fail(
                 f"no column {heading!r}; " + (f"did you mean {near[0]!r}?" if near else f"it has {known}")
             )
-        unit, behind = self.unit_of(self.headings[index]), self.unit()
+        unit, behind = None if index == ROW else self.unit_of(self.headings[index]), self.unit()
         if unit is not None and behind not in (None, unit):
             raise self.fail(f"the heading {heading!r} says another unit than the brackets behind it")
         unit = unit or behind
@@ -243,13 +246,15 @@ def _added(one: _Term, other: _Term, sign: float) -> _Term:
 
 
 def index_of(name: str, headings: Sequence[str]) -> int | None:
-    """The index of a column by its heading or, as of a file without any, by its number: `#3`; None if there is none.
+    """The index of a column by its heading or, as of a file without any, by its number: `#3`; `ROW`; None if there is none.
 
     >>> index_of("u", ["t", "u", "u"]), index_of("#3", ["t", "u", "u"]), index_of("#4", ["t", "u", "u"])
     (1, 2, None)
     """
     if name in headings:
         return list(headings).index(name)
+    if name == _ROW:
+        return ROW
     number = re.fullmatch(r"#([1-9]\d*)", name)
     return int(number[1]) - 1 if number and int(number[1]) <= len(headings) else None
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.estimate.gate import Samples
 from motorlens_runtime.files.columns import Column, in_seconds, require, understand
+from motorlens_runtime.files.formula import ROW
 from motorlens_runtime.files.guesses import refuse_counts
 
 Array = NDArray[np.float64]
@@ -96,10 +97,12 @@ class Reading:
             for quantity, column in self._columns.items()
             if quantity in ("time", "voltage", "current", "ambient")
             for index in column.uses
+            if index != ROW
         }
         if self._flags_at is not None:
             self.used[self._flags_at] = _FLAGS
         self._last_ns: int | None = None
+        self._rows = 0
         self.duplicates = 0
 
     @property
@@ -119,12 +122,17 @@ class Reading:
             DataError: a time is none or runs backwards, or the numbers look like counts of a converter.
         """
 
+        first, self._rows = self._rows, self._rows + len(rows)
+
+        def numbers(index: int) -> Array:
+            return np.arange(first, self._rows, dtype=np.float64) if index == ROW else cells(index)
+
         def channel(quantity: str) -> Array:
-            return np.ascontiguousarray(self._columns[quantity].values(cells))
+            return np.ascontiguousarray(self._columns[quantity].values(numbers))
 
         if self._last_ns is None:
             refuse_counts(self._columns, channel, self._name)
-        time_ns = self._time(channel("time"), cells, rows)
+        time_ns = self._time(channel("time"), numbers, rows)
         ambient = None if self._ambient_C is None else np.full(len(time_ns), self._ambient_C)
         if "ambient" in self._columns:
             ambient = channel("ambient")
