@@ -35,8 +35,8 @@ def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = 
     )  # fmt: skip
     parser.add_argument(
         "--column", action="append", default=[], metavar="QUANTITY=NAME",
-        help="which column holds what, or a formula over columns: 'voltage=duty_pct*vbat_V/100', 'time=row*0.001[s]'; none for "
-        "nothing: temperature=none; repeatable",
+        help="which column holds what, or a formula over columns: 'voltage=duty_pct*vbat_V/100', "
+        "'time=row*0.001[s]'; none for nothing: temperature=none; repeatable",
     )  # fmt: skip
     parser.add_argument(
         "--voltage-commanded", action="store_true",

@@ -118,7 +118,7 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
         headings: the first line of the file, one string a column.
         mapping: the user's own choices, `{"speed": "wL_rad_s"}`; a unit may be given on either side
             (`{"speed_deg_s": "y"}`), and without one the canonical unit is assumed. A formula over columns will do
-            (`{"voltage": "duty_pct*vbat_V/100"}`), see `formula`. "none" is no column at all: nothing is taken for the quantity.
+            (`{"voltage": "duty_pct*vbat_V/100"}`), see `formula`. "none": nothing is taken for the quantity.
         where: the file's name, for messages.
 
     Returns:

@@ -1,8 +1,8 @@
 """What `--column voltage=duty_pct*vbat_V/100` says: a formula over columns of a recording, with its units checked.
 
-Columns enter by their heading and are converted to SI by the unit written in it, or behind it where it has none:
-`y[deg/s]`. A constant may have a unit, `0.033[m]`; `pi` is one. `row` is the number of the row, from 0: `row*0.001[s]`. `+ - * /` and brackets; a heading that is no plain word is
-written as it stands or between quotes. Nothing is evaluated but these.
+Columns enter by their heading and are converted to SI by the unit written in it, or behind it where it has none: `y[deg/s]`.
+A constant may have a unit, `0.033[m]`; `pi` is one. `row` is the number of the row, from 0: `row*0.001[s]`. `+ - * /` and
+brackets; a heading that is no plain word is written as it stands or between quotes. Nothing is evaluated but these.
 
 A constant without a unit that equals the conversion of a column's unit (100 of a percentage, 1000 of millivolts) states that
 conversion, and is not applied a second time: `v_mV/1000` and `v_mV` are the same voltage, and `n_rpm*2*pi/60` and `n_rpm`
