@@ -154,7 +154,9 @@ def test_rows_of_a_known_rate_need_no_time(tmp_path):
         read(tmp_path, rows)
     with pytest.raises(DataError, match="whole numbers without a unit"):
         read(tmp_path, rows, ["time=row"])
-    named = read(tmp_path, text((TIME, VOLTAGE, 2 * CURRENT), ("time_s", "voltage_V", "row")), ["current=row/2"])
+    named = read(
+        tmp_path, text((TIME, VOLTAGE, 2 * CURRENT), ("time_s", "voltage_V", "row")), ["current=row/2"]
+    )
     np.testing.assert_allclose(named.channels["current"], CURRENT, rtol=1e-6, atol=1e-9)
 
 
