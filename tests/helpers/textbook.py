@@ -1,9 +1,11 @@
 """The textbook's motor on a recording of another plant that has more to it, and the same with a name added."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from helpers.hidden import Case, generate_experiment
 
 from motorlens_physics.estimate.estimate import estimate
@@ -19,13 +21,20 @@ from motorlens_workbench.standing import Standing, stand
 
 
 def textbook_on(
-    folder: Path, motor: str, hidden: Sequence[dict[str, Any]], test: str, seconds: float
+    folder: Path, motor: str, hidden: Sequence[dict[str, Any]], test: str, seconds: float, late: int = 0
 ) -> Standing:
-    """The textbook fitted to a test of a motor in which effects are hidden, with 1 % of noise on all channels."""
+    """The textbook fitted to a test of a motor in which effects are hidden, with 1 % of noise on all channels.
+
+    Its speed is recorded `late` by so many samples.
+    """
     case = Case(id="textbook", seed=4, motor=motor, kind="none", noise=0.01, small=True)
     path = generate_experiment({"case": case.as_json(), "hidden": list(hidden)}, test, seconds, folder)
     file = read_motor_file(case.of_motor().write_datasheet(folder / "motor.toml"))
-    return stand(fitted_of(estimate(file, prepare_all([read_recording(path)], file))))
+    recording = read_recording(path)
+    speed = recording.channels["speed"]
+    delayed = np.concatenate([np.full(late, speed[0]), speed[: len(speed) - late]])
+    recording = replace(recording, channels={**recording.channels, "speed": delayed})
+    return stand(fitted_of(estimate(file, prepare_all([recording], file))))
 
 
 def with_name(bare: Standing, name: str) -> tuple[Score, Fitted]:

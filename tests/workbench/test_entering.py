@@ -8,7 +8,7 @@ import pytest
 from helpers.textbook import textbook_on
 
 from motorlens_workbench.contest import entering
-from motorlens_workbench.contest.entering import Step, enter_unseen
+from motorlens_workbench.contest.entering import Step, enter_for_delays, enter_unseen
 from motorlens_workbench.contest.needed import beyond_chance, unseen
 from motorlens_workbench.standing import Standing
 
@@ -38,6 +38,33 @@ def test_what_holds_a_rotor_is_known_once_it_is_fitted(
     found = step.standing.fitted.model.values()
     for key, (true, rel) in expected.items():
         assert found[f"{hidden['name']}.{key}"] == pytest.approx(true, rel=rel)
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(("lags_s", "late"), [(0.03, 0), (0.0, 15)])
+def test_a_sensor_that_lags_is_told_from_a_channel_that_comes_late(
+    tmp_path: Path, lags_s: float, late: int
+) -> None:
+    """Either passes for the other as long as the other is not fitted; samples are 2 ms apart."""
+    lag = [{"name": "speed_sensor_lag", "size": lags_s, "shape": {}}] if lags_s else []
+    here = textbook_on(tmp_path, "servo_24V", lag, "no_load_steps", 5.0, late)
+    (moved,) = here.fitted.runs[0].late.items()
+    assert moved[0] == "speed" and 8 <= moved[1] <= 16
+    step = enter_for_delays(here, (), lambda text: None)
+    assert list(step.judged) == ["speed_sensor_lag"] and step.refused == ()
+    if not lags_s:
+        assert step.accepted is None and step.standing is None and step.judged["speed_sensor_lag"] < 0.5
+        return
+    assert step.accepted is not None and step.standing is not None and step.judged["speed_sensor_lag"] > 10
+    end = step.standing.fitted
+    assert end.model.values()["speed_sensor_lag.tau"] == pytest.approx(lags_s, rel=0.03)
+    assert not any(end.runs[0].late.values())
+
+
+@pytest.mark.fit
+def test_where_nothing_is_late_no_lag_is_estimated_in_its_place(bare: Standing) -> None:
+    said: list[str] = []
+    assert enter_for_delays(bare, (), said.append) == Step() and not said
 
 
 @pytest.fixture(scope="module")

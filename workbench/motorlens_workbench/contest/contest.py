@@ -11,7 +11,14 @@ from dataclasses import dataclass
 
 from motorlens_physics.effect import Effect
 from motorlens_workbench.contest.bayes_factor import simplest
-from motorlens_workbench.contest.entering import Attempt, enter, enter_anew, enter_unseen, heaviest
+from motorlens_workbench.contest.entering import (
+    Attempt,
+    enter,
+    enter_anew,
+    enter_for_delays,
+    enter_unseen,
+    heaviest,
+)
 from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.needed import (
     beyond_chance,
@@ -69,12 +76,12 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     first = here = stand(base, own)
     if not any(run.moves for run in base.runs):
         return Outcome(first, first, (), (), None, (), {}, {})
-    accepted: list[Accepted] = []
+    step = enter_for_delays(here, own, say)
+    here, judged, attempts = step.standing or here, step.judged, step.attempts
+    accepted: list[Accepted] = [step.accepted] if step.accepted is not None else []
     refused: list[str] = []
     estimated: list[str] = []
     pointed: dict[str, None] = {}
-    judged: Mapping[str, float] = {}
-    attempts: Mapping[str, Attempt] = {}
     nameless: tuple[Standing, list[Accepted]] | None = None
     entered = 0
     # What entered may leave again beside what came later: it must not go on for ever.

@@ -1,6 +1,7 @@
 """Which name enters a model next: the best are fitted in full, and the best of those enters if it is beyond chance there.
 
-What may hold a rotor at rest is looked at from models that have it, once nothing else is beyond chance.
+What may hold a rotor at rest is looked at from models that have it, once nothing else is beyond chance. Before all else,
+what a delay stands for may be the lag of a sensor: each is estimated from the beginning, and the likelier stays.
 
 Where no name does though something is missing, or where the model with one still does not follow, the motor is estimated
 from the beginning with each name of the equation: what is missing bends a fit, and from where that ends no name may help.
@@ -19,8 +20,10 @@ from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, po
 from motorlens_workbench.contest.needed import follows, needed_weight
 from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
+from motorlens_workbench.hypotheses.sensors import SensorShape
 from motorlens_workbench.refit import ahead, anew, begun, nearly, promise, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
@@ -136,6 +139,37 @@ def enter(
     if step.standing is None and strongest.named:
         return replace(step, refused=(*step.refused, strongest.name))
     return step
+
+
+def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress) -> Step:
+    """The lag of a sensor whose channel was moved because it seemed late, if that is likelier than the delay.
+
+    A delay is found before any name is looked at, and from where it has led nothing shows of a lag.
+    """
+    slow = {
+        channel if samples > 0 else "voltage"
+        for run in here.fitted.runs
+        for channel, samples in run.late.items()
+        if samples
+    }
+    lags = [
+        score
+        for score in best_of(here.scores).values()
+        if isinstance(score.entry.shape, SensorShape)
+        and score.entry.shape.sensor.kind == "lag"
+        and score.entry.shape.sensor.channel in slow
+    ]
+    if lags:
+        say(
+            f"estimating anew with {', '.join(one.name.replace('_', ' ') for one in lags)} in the place of a delay"
+        )
+    ends = on_all_cores(lambda one: anew(begun(here.fitted, one)), lags)
+    able = [(_unlikely(here, end), one, end) for one, end in zip(lags, ends, strict=True) if end is not None]
+    step = Step()
+    for unlikely, one, end in sorted(able, key=lambda known: known[0]):
+        if step.standing is None and np.isfinite(unlikely):
+            step = step.then(_judged(here, one, end, own))
+    return replace(step, refused=())
 
 
 def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Effect]], say: Progress) -> Step:
