@@ -23,7 +23,7 @@ def sized(coefficient: float, *, information: float = 1e6, gain: float = 100.0) 
     """A single column of an effect that may have either sign and any size."""
     one = np.array([[1.0]])
     anything = SimpleNamespace(limits=lambda: (-np.inf, np.inf))
-    entry = SimpleNamespace(shape=anything, hypothesis=SimpleNamespace(named=True))
+    entry = SimpleNamespace(shape=anything, hypothesis=Hypothesis("one", "effect", "mechanical", ()))
     return Score(
         entry, np.array([coefficient]), one / information, one * information, gain, 1.0, 20.0, 1, np.zeros((4, 1)), one,
     )  # type: ignore[arg-type]  # fmt: skip

@@ -11,6 +11,7 @@ from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import MotorFile, read_motor_file, voltage_commanded
 from motorlens_physics.recording import Recording
+from motorlens_workbench.contest import together
 from motorlens_workbench.contest.together import enter_two
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.look import best_of
@@ -36,14 +37,20 @@ def file(tmp_path_factory) -> MotorFile:
     )
 
 
-def swept(file: MotorFile, friction: float) -> Standing:
-    """Where the textbook stands beside a sweep, a second a level, over a bridge that opens in the off time."""
+def swept(file: MotorFile, friction: float, bump: float = 0.0) -> Standing:
+    """Where the textbook stands beside a sweep, a second a level, over a bridge that opens in the off time.
+
+    Beside friction there may be a bump of the torque about a speed, in shares of the rated torque.
+    """
     motor = MOTORS["gear_12V"]
     time = np.arange(400.0)
     inputs = np.zeros((len(time), plant.INPUTS))
     inputs[:, plant.VOLTAGE] = np.interp(time, [0, 100, 300, 400], [0, 8, -8, 0])
     inputs[:, plant.FLUX] = 1.0
-    p = plant.vector(**motor.textbook, coasting=1.0, bus_V=motor.voltage_V, tau_c=friction * motor.torque_Nm)
+    p = plant.vector(
+        **motor.textbook, coasting=1.0, bus_V=motor.voltage_V, tau_c=friction * motor.torque_Nm,
+        bump=bump * motor.torque_Nm, bump_w=0.25 * motor.speed_rad_s, bump_width=0.05 * motor.speed_rad_s,
+    )  # fmt: skip
     states = plant.simulate(1.0, inputs, plant.rest(), p, substeps=40)
     noise = 0.003 * motor.speed_rad_s * np.random.default_rng(0).standard_normal(len(time))
     channels = {"voltage": inputs[:, plant.VOLTAGE], "speed": states[:, plant.W] + noise}
@@ -71,6 +78,16 @@ def test_a_bridge_and_friction_enter_together(file):
     # A model of other parameters is none to go on from.
     other = {name: (replace(model), end) for name, (model, end) in beside(here, BRIDGE).items()}
     assert enter_two(here, other, (), said.append) is None
+
+
+@pytest.mark.fit
+def test_two_that_leave_more_than_noise_are_not_the_truth(file, monkeypatch):
+    """A bump of the torque is missing besides, and in no catalogue: each is beyond chance beside the other."""
+    here = swept(file, 0.1, bump=0.1)
+    assert enter_two(here, beside(here, BRIDGE), (), lambda text: None) is None
+    monkeypatch.setattr(together, "follows", lambda standing: True)
+    found = enter_two(here, beside(here, BRIDGE), (), lambda text: None)
+    assert found is not None and found[0].times_noise > 100
 
 
 @pytest.mark.fit

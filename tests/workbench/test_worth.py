@@ -1,5 +1,7 @@
 """What a name explains in recordings of another plant, asked in three ways."""
 
+from dataclasses import replace
+
 import pytest
 from helpers.textbook import textbook_on, with_name
 
@@ -35,6 +37,20 @@ def test_where_walds_test_says_too_little_the_score_test_says_what_the_likelihoo
     # It counts for no more than the likelihood rises.
     assert agreement(bare, end, bare.fitted, score.entry.hypothesis, 5.0) <= 5.0
     assert agreement(bare, end, bare.fitted, score.entry.hypothesis, -5.0) == 0.0
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(("multiple", "allowed"), [(29.0, True), (31.0, False)])
+def test_what_only_a_wonder_of_nature_explains_has_no_name(
+    bare: Standing, multiple: float, allowed: bool
+) -> None:
+    """As if the size that is found were so many times the typical one."""
+    score, end = with_name(bare, "magnet_temperature")
+    size = end.model.values()["magnet_temperature.beta"]
+    hypothesis = replace(score.entry.hypothesis, typical=size / multiple)
+    one = replace(score, entry=replace(score.entry, hypothesis=hypothesis))
+    assert end.allows(hypothesis) is allowed
+    assert (worth(bare, one, end).accepted(hypothesis) is not None) is allowed
 
 
 @pytest.mark.fit

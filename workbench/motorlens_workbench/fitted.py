@@ -39,6 +39,11 @@ class Fitted:
         """Squares of what moved against the priors, a part of the cost."""
         return self.prior.penalty(self.model.values())
 
+    def allows(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis in the model is no larger than such an effect or fault can be."""
+        away = self.model.values()[hypothesis.key] - (self.model.file.meaning(hypothesis.key).null or 0.0)
+        return abs(away) <= hypothesis.most * abs(hypothesis.typical)
+
 
 @dataclass(frozen=True)
 class Challenger:

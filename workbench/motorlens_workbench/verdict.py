@@ -204,10 +204,13 @@ def _refused(found: Finding, name: str) -> str:
         one.hypothesis.name for one in found.outcome.accepted if one.hypothesis.key in without.prior.keys
     ]
     beside = f" beside {' and '.join(others)}" if others else ""
-    return (
-        f"The screen points at {name}. Fitted with it{beside}, {changes}; but that is no more than chance may do, or one "
-        "stretch of time does not agree with another on it, so it may stand for something else."
-    )
+    why = "is no more than chance may do, or one stretch of time does not agree with another on it"
+    hypothesis = seen_named(found.outcome.first)[name].entry.hypothesis
+    if not with_it.allows(hypothesis):
+        size, unit = with_it.model.values()[hypothesis.key], with_it.model.file.meaning(hypothesis.key).unit
+        why = f"takes {size:.3g} {unit}, which is more than it can be"
+    fitted = f"The screen points at {name}. Fitted with it{beside}, {changes}"
+    return f"{fitted}; but that {why}, so it may stand for something else."
 
 
 def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -> list[str]:

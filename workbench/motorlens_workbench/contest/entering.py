@@ -167,9 +167,10 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     able = [(_unlikely(here, end), one, end) for one, end in zip(lags, ends, strict=True) if end is not None]
     step = Step()
     for unlikely, one, end in sorted(able, key=lambda known: known[0]):
-        if step.standing is None and np.isfinite(unlikely):
+        if step.accepted is None and np.isfinite(unlikely):
             step = step.then(_judged(here, one, end, own))
-    return replace(step, refused=())
+    # A likelier fit without the lag is left to the names that enter: from each the model goes on, and may end there.
+    return replace(step, refused=(), standing=step.standing if step.accepted else None)
 
 
 def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Effect]], say: Progress) -> Step:

@@ -1,7 +1,7 @@
 """Two names that enter together: of two that are missing, one alone may explain too little that blocks of time agree on.
 
 The likeliest models with a name that did not hold are looked at as if it held. What enters beside it is judged as any name
-is, and then the first as one beside the second.
+is, and then the first as one beside the second. A model that does not follow with both lacks something else: none is told.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from motorlens_physics.effect import Effect
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.entering import Attempt, enter, unlikely_as_known
-from motorlens_workbench.contest.needed import beyond_chance, promising
+from motorlens_workbench.contest.needed import beyond_chance, follows, promising
 from motorlens_workbench.contest.worth import worth
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score
@@ -34,7 +34,8 @@ def enter_two(
         say: told what is being done.
     """
     first = best_of(here.scores)
-    tried = [(name, end) for name, (model, end) in attempts.items() if model is here.fitted and name in first]
+    able = [(name, end) for name, (model, end) in attempts.items() if model is here.fitted and name in first]
+    tried = [(name, end) for name, end in able if end.allows(first[name].entry.hypothesis)]
     for name, end in sorted(tried, key=lambda one: unlikely_as_known(here, one[1]))[:BEGUN]:
         say(f"beside {name.replace('_', ' ')}")
         try:
@@ -61,7 +62,7 @@ def _beside(
     # Names with which the motor would be estimated from the beginning have been tried alone.
     every = [score.name for score in here.scores]
     step = enter(there, challengers, able, (one.name,), every, own, say)
-    if step.standing is None or step.accepted is None:
+    if step.standing is None or step.accepted is None or not follows(step.standing):
         return None
     alone = without_hypothesis(step.standing.fitted, one.name)
     if alone is None:

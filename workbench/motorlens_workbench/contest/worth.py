@@ -166,6 +166,9 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     needed = needed_weight(here, (), book.colour)
     unlikely = unlikely_from(here, end)
     most = here.unlikely - unlikely
+    if not end.allows(one.entry.hypothesis):
+        # A wonder of nature stands for something else, whatever it explains.
+        return Worth(None, needed, here.fitted, unlikely)
     if score is None or -log_chance(max(most, 0.0), 1) < needed:
         return Worth(score and score.winning(most), needed, here.fitted, unlikely)
     # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is not

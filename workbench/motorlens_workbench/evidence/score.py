@@ -122,18 +122,13 @@ class Score:
 
         A size far beyond what such an effect can have is the mark of a column that hardly differs from what parameters do.
         """
-        if np.hypot(*self.coefficient[[0, -1]]) > self._wonder:
+        if np.hypot(*self.coefficient[[0, -1]]) > self.entry.hypothesis.most:
             return False
         if len(self.coefficient) != 1:
             return True
         low, high = self.entry.shape.limits()
         slack = 2 * float(np.sqrt(self.covariance[0, 0]))
         return bool(low - slack <= self.coefficient[0] <= high + slack)
-
-    @property
-    def _wonder(self) -> float:
-        """Above what size, in units of the columns, it would be a wonder; a term without a name may have any."""
-        return 3 * CRITERIA.largest if self.entry.hypothesis.named else float("inf")
 
     def detectable(self, weight: float) -> float:
         """The size of a single column at which `weight` would be expected, in its units; inf if it cannot be as large.
@@ -142,7 +137,7 @@ class Score:
         """
         gain = float(chdtri(1, np.exp(-min(weight, 700.0))))
         size = float(np.sqrt(gain * self.scatter / max(self.information[0, 0], 1e-300)))
-        largest = self._wonder
+        largest = self.entry.hypothesis.most
         if len(self.coefficient) == 1:
             low, high = self.entry.shape.limits()
             largest = min(largest, max(-low, high))

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
@@ -52,3 +53,8 @@ class Hypothesis:
     def named(self) -> bool:
         """Whether a model can be built with it."""
         return self.kind != "unnamed"
+
+    @property
+    def most(self) -> float:
+        """The largest multiple of its typical size that is no wonder of nature; a term without a name may have any."""
+        return 3 * CRITERIA.largest if self.named else float("inf")
