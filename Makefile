@@ -1,7 +1,8 @@
 # Two commands on a fresh machine: `make demo` runs the main job, `make test` the tests. Each sets up .venv by itself.
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# What is imported is compiled then: to compile all that is installed takes longer than the rest of it.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 # Tests share out the cores: a process each and one more, for a test that waits leaves its core idle; one thread in each.
 WORKERS := $(shell $(PYTHON) -c 'import os; print((os.cpu_count() or 1) + 1)')
