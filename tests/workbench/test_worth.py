@@ -1,10 +1,12 @@
 """What a name explains in recordings of another plant, asked in three ways."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from helpers.textbook import textbook_on, with_name
 
+from motorlens_workbench.contest.contest import too_large
 from motorlens_workbench.contest.worth import agreement, held_score, worth
 from motorlens_workbench.standing import Standing, stand, summed, unlikely_from
 
@@ -50,7 +52,12 @@ def test_what_only_a_wonder_of_nature_explains_has_no_name(
     hypothesis = replace(score.entry.hypothesis, typical=size / multiple)
     one = replace(score, entry=replace(score.entry, hypothesis=hypothesis))
     assert end.allows(hypothesis) is allowed
-    assert (worth(bare, one, end).accepted(hypothesis) is not None) is allowed
+    told = worth(bare, one, end)
+    assert told.times > 1 and (told.accepted(hypothesis) is not None) is allowed
+    # What only its size speaks against is told, of all that did not hold.
+    for times, said in ((told.times, not allowed), (0.9, False)):
+        large = too_large(SimpleNamespace(scores=(one,)), {one.name: times}, {one.name: (bare.fitted, end)})  # type: ignore[arg-type]
+        assert large == ([one.name] if said else [])
 
 
 @pytest.mark.fit

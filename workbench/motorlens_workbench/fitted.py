@@ -39,10 +39,14 @@ class Fitted:
         """Squares of what moved against the priors, a part of the cost."""
         return self.prior.penalty(self.model.values())
 
+    def multiple(self, hypothesis: Hypothesis) -> float:
+        """How large a hypothesis in the model is, in multiples of its typical size."""
+        null = self.model.file.meaning(hypothesis.key).null or 0.0
+        return (self.model.values()[hypothesis.key] - null) / hypothesis.typical
+
     def allows(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis in the model is no larger than such an effect or fault can be."""
-        away = self.model.values()[hypothesis.key] - (self.model.file.meaning(hypothesis.key).null or 0.0)
-        return abs(away) <= hypothesis.most * abs(hypothesis.typical)
+        return abs(self.multiple(hypothesis)) <= hypothesis.most
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class Outcome:
         accepted: in the order in which they entered.
         rivals: of each of these.
         unnamed: the term without a name that is beyond chance, and that no name explains; None if none is.
-        refused: names that the screen points at, but that do not hold when fitted.
+        refused: names that the screen points at, but that do not hold when fitted, or only at a size that they cannot have.
         judged: the heaviest that every name fitted in full was, in multiples of the weight that is needed.
         attempts: the model in which each name that did not hold was tried, and the same with it.
     """
@@ -122,8 +122,19 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     remains = _remains(here, accepted, refused)
     unnamed = simplest([one for one in here.challengers if not one.named]).score if remains else None
     rivals = tuple(rivals_of(here, one) for one in accepted)
-    disproved = tuple(name for name in dict.fromkeys(refused) if name in pointed)
-    return Outcome(first, here, tuple(accepted), rivals, unnamed, disproved, judged, attempts)
+    disproved = dict.fromkeys(name for name in refused if name in pointed) | dict.fromkeys(
+        name
+        for name in too_large(first, judged, attempts)
+        if name not in {one.hypothesis.name for one in accepted}
+    )
+    return Outcome(first, here, tuple(accepted), rivals, unnamed, tuple(disproved), judged, attempts)
+
+
+def too_large(here: Standing, judged: Mapping[str, float], attempts: Mapping[str, Attempt]) -> list[str]:
+    """Names that would be beyond chance, at a size that they cannot have."""
+    known = {score.name: score.entry.hypothesis for score in here.scores}
+    beyond = [name for name in attempts if judged[name] >= 1.0 and name in known]
+    return [name for name in beyond if not attempts[name][1].allows(known[name])]
 
 
 def _remains(here: Standing, accepted: Sequence[Accepted], refused: Sequence[str]) -> bool:

@@ -131,6 +131,7 @@ class Worth:
         needed: the weight that it needs.
         lacking: the likelier of the model that stands and the one with the name taken out again.
         unlikely: of what the model with the name leaves, see `unlikely_from`.
+        allowed: whether it is no larger than it can be: a wonder of nature stands for something else, whatever it explains.
         kept: by how much less unlikely is what `lacking` leaves than what the model that stands leaves.
         agreed: squared ratio to which blocks of time agree on the name, where that tells more than Wald's test; else 0.
     """
@@ -139,6 +140,7 @@ class Worth:
     needed: float
     lacking: Fitted
     unlikely: float
+    allowed: bool
     kept: float = 0.0
     agreed: float = 0.0
 
@@ -148,9 +150,9 @@ class Worth:
         return self.score.weight / self.needed if self.score else 0.0
 
     def accepted(self, hypothesis: Hypothesis) -> Accepted | None:
-        """The hypothesis as it enters the model; None if it is not beyond chance there."""
+        """The hypothesis as it enters the model; None if it is not beyond chance there, or larger than it can be."""
         score = self.score
-        if score is None or self.times < 1.0:
+        if score is None or self.times < 1.0 or not self.allowed:
             return None
         return Accepted(hypothesis, score.gain / score.scatter, score.scatter, score.weight, self.agreed)
 
@@ -166,11 +168,9 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     needed = needed_weight(here, (), book.colour)
     unlikely = unlikely_from(here, end)
     most = here.unlikely - unlikely
-    if not end.allows(one.entry.hypothesis):
-        # A wonder of nature stands for something else, whatever it explains.
-        return Worth(None, needed, here.fitted, unlikely)
+    allowed = end.allows(one.entry.hypothesis)
     if score is None or -log_chance(max(most, 0.0), 1) < needed:
-        return Worth(score and score.winning(most), needed, here.fitted, unlikely)
+        return Worth(score and score.winning(most), needed, here.fitted, unlikely, allowed)
     # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is not
     # the name's.
     refitted = without_hypothesis(end, one.name)
@@ -179,6 +179,5 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     rise = min(most, left - unlikely)
     held, agreed = score.winning(rise), agreement(here, end, lacking, one.entry.hypothesis, rise)
     more = agreed > held.gain / held.scatter
-    return Worth(
-        held.or_at_least(agreed), needed, lacking, unlikely, here.unlikely - left, agreed if more else 0.0
-    )
+    told = held.or_at_least(agreed)
+    return Worth(told, needed, lacking, unlikely, allowed, here.unlikely - left, agreed if more else 0.0)
