@@ -41,23 +41,27 @@ def test_what_holds_a_rotor_is_known_once_it_is_fitted(
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize(("lags_s", "late"), [(0.03, 0), (0.0, 15)])
-def test_a_sensor_that_lags_is_told_from_a_channel_that_comes_late(
-    tmp_path: Path, lags_s: float, late: int
+@pytest.mark.parametrize(
+    ("name", "lags_s", "late"),
+    [("speed_sensor_lag", 0.03, 0), ("current_sensor_lag", 0.004, 0), ("", 0.0, 15)],
+)
+def test_a_sensor_that_lags_is_told_from_channels_that_come_late_or_early(
+    tmp_path: Path, name: str, lags_s: float, late: int
 ) -> None:
     """Either passes for the other as long as the other is not fitted; samples are 2 ms apart."""
-    lag = [{"name": "speed_sensor_lag", "size": lags_s, "shape": {}}] if lags_s else []
+    lag = [{"name": name, "size": lags_s, "shape": {}}] if name else []
     here = textbook_on(tmp_path, "servo_24V", lag, "no_load_steps", 5.0, late)
-    (moved,) = here.fitted.runs[0].late.items()
-    assert moved[0] == "speed" and 8 <= moved[1] <= 16
     step = enter_for_delays(here, (), lambda text: None)
-    assert list(step.judged) == ["speed_sensor_lag"] and step.refused == ()
-    if not lags_s:
-        assert step.accepted is None and step.standing is None and step.judged["speed_sensor_lag"] < 0.5
+    (tried,) = step.judged
+    assert not step.refused
+    if late:
+        assert here.fitted.runs[0].late == {"speed": late}
+        assert step.accepted is None and step.standing is None and step.judged[tried] < 0.5
         return
-    assert step.accepted is not None and step.standing is not None and step.judged["speed_sensor_lag"] > 10
+    assert tried == name and step.judged[name] > 2
+    assert step.accepted is not None and step.standing is not None
     end = step.standing.fitted
-    assert end.model.values()["speed_sensor_lag.tau"] == pytest.approx(lags_s, rel=0.03)
+    assert end.model.values()[f"{name}.tau"] == pytest.approx(lags_s, rel=0.1)
     assert not any(end.runs[0].late.values())
 
 

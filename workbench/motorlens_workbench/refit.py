@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.estimate import near, one_step_ahead, whole
+from motorlens_physics.estimate.estimate import by_least_squares, near, one_step_ahead, whole
 from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
@@ -92,6 +92,15 @@ def nearly(fitted: Fitted) -> Weighed | None:
         return near(runs, fitted.prior, replace(begin, held=fitted.model.held), free=False)
     except ModelError:
         return None
+
+
+def at_first(fitted: Fitted) -> float:
+    """What least squares leave of a model from the beginning, see `by_least_squares`; infinite if it cannot be simulated."""
+    begin, runs = _beginning(fitted)
+    try:
+        return by_least_squares(runs, fitted.prior, begin)
+    except ModelError:
+        return float("inf")
 
 
 def ahead(fitted: Fitted, other: Weighed) -> float:

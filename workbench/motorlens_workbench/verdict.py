@@ -223,9 +223,9 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
     """
     said = [one.sentence for one in found.dead]
     said += [run.saturation for run in found.runs if run.saturated]
+    tried = any(name.endswith("_sensor_lag") for name in found.outcome.judged)
     delays = delays_of(_as_fit(found), found.runs)
-    tried = [f"{delay.lagging}_sensor_lag" in found.outcome.judged for delay in delays]
-    said += [replace(one, lag_refused=was).sentence for one, was in zip(delays, tried, strict=True)]
+    said += [replace(delay, lag_refused=tried).sentence for delay in delays]
     channels = {channel for run in found.runs for channel in (*run.channels, *run.imposed)}
     known = {quantity for run in found.runs for quantity in run.known}
     if "temperature" not in channels:

@@ -171,7 +171,7 @@ def realigned(point: Weighed, prior: Prior) -> Weighed:
 class Delay:
     """By how much a channel of a recording comes after its voltage, with its standard deviation, in seconds.
 
-    `lag_refused` says that the lag of a sensor was estimated in its place, and is no likelier.
+    `lag_refused` says that the lag of a sensor was estimated in its place, and is not likelier beyond chance.
     """
 
     recording: str
@@ -181,21 +181,16 @@ class Delay:
     lag_refused: bool = False
 
     @property
-    def lagging(self) -> str:
-        """The channel whose sensor may lag instead: nothing answers before it is driven."""
-        return self.channel if self.value_s > 0 else "voltage"
-
-    @property
     def sentence(self) -> str:
         """For the reader."""
         size = f"{abs(self.value_s):.4g} +- {self.sd_s:.2g} s"
-        way, why = "after", "a lag of its sensor looks alike"
+        way, why = "after", "but a lag of its sensor looks alike"
         if self.value_s < 0:
-            way, why = "before", "the voltage was recorded late, or its sensor lags"
+            # Nothing answers before it is driven.
+            way, why = "before", "but the voltage was recorded late, or its sensor lags"
         if self.lag_refused:
-            why = f"a lag of the sensor of {self.lagging} in its place is no likelier"
-        join = "and" if self.lag_refused else "but"
-        return f"{self.recording}: {self.channel} comes {size} {way} its voltage; it was moved by as much, {join} {why}."
+            why = "and a lag of a sensor in its place is not likelier beyond chance"
+        return f"{self.recording}: {self.channel} comes {size} {way} its voltage; it was moved by as much, {why}."
 
 
 def _lasting(run: Run, samples: int) -> float:

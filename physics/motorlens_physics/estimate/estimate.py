@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motorlens_physics.estimate.between_samples import otherwise
-from motorlens_physics.estimate.fit import CONVERGED, NEAR, Fit, fit, foretold, inverse, start_model
+from motorlens_physics.estimate.fit import CONVERGED, NEAR, Fit, fit, foretold, inverse, start_model, white
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise_likelihood import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
@@ -160,6 +160,20 @@ def near(
     point = point if rough is point else minimised(rough, prior, progress, outliers=False)[0]
     coloured = with_colour(point)
     return point if coloured is point else minimised(coloured, prior, progress, outliers=False)[0]
+
+
+def by_least_squares(runs: Sequence[Run], prior: Prior, begin: Model) -> float:
+    """How unlikely what least squares leave is, as white noise, no channel moved: of models to be tried the least first.
+
+    Args: as of `near`.
+
+    Raises:
+        ModelError: the motor cannot be simulated where it starts.
+    """
+    begin, pieces = pieces_of(replace(begin, tolerance=COARSE), runs, PIECE)
+    prior = prior_of(prior, begin, pieces, cut(runs, pieces))
+    straight = prior.only([key for key in prior.keys if not key.startswith("skew.")])
+    return white(fit(begin, pieces, straight, rounds=NEAR, enough=1.0), pieces)
 
 
 def one_step_ahead(point: Weighed, runs: Sequence[Run], prior: Prior, begin: Model) -> float:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motorlens_physics.effect import Effect
+from motorlens_physics.estimate.delays import delays_of
+from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
@@ -20,11 +22,10 @@ from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, po
 from motorlens_workbench.contest.needed import follows, needed_weight
 from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.hypotheses.sensors import SensorShape
-from motorlens_workbench.refit import ahead, anew, begun, nearly, promise, settled, with_hypothesis
+from motorlens_workbench.refit import ahead, anew, at_first, begun, nearly, promise, settled, with_hypothesis
 from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
@@ -142,35 +143,44 @@ def enter(
 
 
 def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress) -> Step:
-    """The lag of a sensor whose channel was moved because it seemed late, if that is likelier than the delay.
+    """The lag of a sensor in the place of delays, where any were found and it is likelier.
 
-    A delay is found before any name is looked at, and from where it has led nothing shows of a lag.
+    Delays are found before any name is looked at, and from where they have led nothing shows of a lag. A channel may come
+    early because any other lags: that is tried of which least squares leave the least.
     """
-    slow = {
-        channel if samples > 0 else "voltage"
-        for run in here.fitted.runs
-        for channel, samples in run.late.items()
-        if samples
-    }
-    lags = [
-        score
-        for score in best_of(here.scores).values()
-        if isinstance(score.entry.shape, SensorShape)
-        and score.entry.shape.sensor.kind == "lag"
-        and score.entry.shape.sensor.channel in slow
-    ]
-    if lags:
-        say(
-            f"estimating anew with {', '.join(one.name.replace('_', ' ') for one in lags)} in the place of a delay"
-        )
-    ends = on_all_cores(lambda one: anew(begun(here.fitted, one)), lags)
-    able = [(_unlikely(here, end), one, end) for one, end in zip(lags, ends, strict=True) if end is not None]
-    step = Step()
-    for unlikely, one, end in sorted(able, key=lambda known: known[0]):
-        if step.accepted is None and np.isfinite(unlikely):
-            step = step.then(_judged(here, one, end, own))
-    # A likelier fit without the lag is left to the names that enter: from each the model goes on, and may end there.
-    return replace(step, refused=(), standing=step.standing if step.accepted else None)
+    fitted = here.fitted
+    delays = delays_of(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0), fitted.runs)
+    # What a look says of their sizes is bent by the delays, and need not be possible.
+    faults = {score.name: score for score in here.scores if isinstance(score.entry.shape, SensorShape)}
+    lags = [one for name, one in faults.items() if name.endswith("_lag") and name != "temperature_sensor_lag"]
+    if not delays or not lags:
+        return Step()
+    left = on_all_cores(lambda one: at_first(begun(fitted, one)), lags)
+    one = lags[int(np.argmin(left))]
+    say(f"estimating anew with {one.name.replace('_', ' ')} in the place of a delay")
+    end, refused = anew(begun(fitted, one)), Step(judged={one.name: 0.0})
+    if end is None or -log_chance(max(_won_by_either(here, end), 0.0), 1) < needed_weight(here, ()):
+        return refused
+    try:
+        there = stand(settled(end), own)
+        told = worth(here, one, there.fitted, there)
+    except ModelError:
+        return refused
+    judged, entered = {one.name: told.times}, told.accepted(one.entry.hypothesis)
+    return Step(there if entered else None, entered, judged=judged, unlikely=told.unlikely)
+
+
+def _won_by_either(here: Standing, fitted: Fitted) -> float:
+    """By how much another model is likelier than the one that stands, in the mean of the frames of both.
+
+    Timing decides how noise of the inputs passes through: neither sees the other's as it would be.
+    """
+    try:
+        there = stand(fitted)
+        mine, others = (unlikely_from(frame, fitted) for frame in (here, there))
+        return 0.5 * (unlikely_from(here, here.fitted) - mine + unlikely_from(there, here.fitted) - others)
+    except ModelError:
+        return -np.inf
 
 
 def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Effect]], say: Progress) -> Step:

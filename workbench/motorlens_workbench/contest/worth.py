@@ -157,8 +157,14 @@ class Worth:
         return Accepted(hypothesis, score.gain / score.scatter, score.scatter, score.weight, self.agreed)
 
 
-def worth(here: Standing, one: Score, end: Fitted) -> Worth:
+def worth(here: Standing, one: Score, end: Fitted, frame: Standing | None = None) -> Worth:
     """What a name wins in a model that has it over one that has not.
+
+    Args:
+        here: where the contest stands.
+        one: what a look says of the name.
+        end: the model with it.
+        frame: where likelihoods are compared, see `unlikely_from`; None is `here`.
 
     Raises:
         ModelError: the model cannot be simulated without it.
@@ -166,8 +172,9 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     book, plain = summed(end)
     score = held_score(book, plain, end, one.entry.hypothesis)
     needed = needed_weight(here, (), book.colour)
-    unlikely = unlikely_from(here, end)
-    most = here.unlikely - unlikely
+    unlikely = unlikely_from(frame or here, end)
+    stood = here.unlikely if frame is None else unlikely_from(frame, here.fitted)
+    most = stood - unlikely
     allowed = end.allows(one.entry.hypothesis)
     if score is None or -log_chance(max(most, 0.0), 1) < needed:
         return Worth(score and score.winning(most), needed, here.fitted, unlikely, allowed)
@@ -175,9 +182,9 @@ def worth(here: Standing, one: Score, end: Fitted) -> Worth:
     # the name's.
     refitted = without_hypothesis(end, one.name)
     able = (here.fitted,) if refitted is None else (here.fitted, settled(refitted))
-    left, lacking = min(((unlikely_from(here, one), one) for one in able), key=lambda pair: pair[0])
+    left, lacking = min(((unlikely_from(frame or here, one), one) for one in able), key=lambda pair: pair[0])
     rise = min(most, left - unlikely)
-    held, agreed = score.winning(rise), agreement(here, end, lacking, one.entry.hypothesis, rise)
+    held, agreed = score.winning(rise), agreement(frame or here, end, lacking, one.entry.hypothesis, rise)
     more = agreed > held.gain / held.scatter
     told = held.or_at_least(agreed)
-    return Worth(told, needed, lacking, unlikely, allowed, here.unlikely - left, agreed if more else 0.0)
+    return Worth(told, needed, lacking, unlikely, allowed, stood - left, agreed if more else 0.0)
