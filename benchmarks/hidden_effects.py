@@ -181,7 +181,9 @@ def in_parallel(
     # What workers import by name.
     # Before what is there: the code that is measured may be another than the one that is installed.
     there = [os.environ["PYTHONPATH"]] if "PYTHONPATH" in os.environ else []
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent / "tests"), str(HERE / "hidden_effects"), *there])
+    os.environ["PYTHONPATH"] = os.pathsep.join(
+        [str(HERE.parent / "tests"), str(HERE / "hidden_effects"), *there]
+    )
     here = arguments.jobs == 1 and arguments.scheduler is None
     with queue(arguments.scheduler, 0 if here else arguments.jobs) as run_on:
         for done in run_on(work, cases, *rest):
