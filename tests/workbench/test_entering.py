@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -69,6 +70,8 @@ def test_a_sensor_that_lags_is_told_from_channels_that_come_late_or_early(
 def test_where_nothing_is_late_no_lag_is_estimated_in_its_place(bare: Standing) -> None:
     said: list[str] = []
     assert enter_for_delays(bare, (), said.append) == Step() and not said
+    # Nor where nothing can be tested.
+    assert enter_for_delays(SimpleNamespace(null=None), (), said.append) == Step()  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ class Criteria:
     `--seed 18`, by which readings coarser than their noise and free terms of a single block of time were found to alarm, a
     Stribeck friction (2.1), a brush drop and a curve (1.02 each) stay; of those of `--seed 19`, seen after that, the largest
     name has 0.40 and the largest free term 0.85, and one is `unknown` for its colour. Of those of `--seed 21` three alarmed,
-    all with coloured noise that had been refused before its variances had converged; since that was mended none of them does,
-    nor one of those of the seeds 22 and 23: the largest name has 0.83 and the largest free term 0.75.
+    all with coloured noise that had been refused before its variances had converged; since that was mended none does,
+    nor one of those of seeds 22 and 23: the largest name has 0.83 and the largest free term 0.75.
     Flips of signs alone would put `excess` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:

@@ -205,8 +205,8 @@ def _refused(found: Finding, name: str) -> str:
     ]
     beside = f" beside {' and '.join(others)}" if others else ""
     why = "is no more than chance may do, or one stretch of time does not agree with another on it"
-    hypothesis = seen_named(found.outcome.first)[name].entry.hypothesis
-    if not with_it.allows(hypothesis):
+    seen = seen_named(found.outcome.first).get(name)
+    if seen is not None and not with_it.allows(hypothesis := seen.entry.hypothesis):
         size, unit = with_it.model.values()[hypothesis.key], with_it.model.file.meaning(hypothesis.key).unit
         why = f"takes {size:.3g} {unit}, {abs(with_it.multiple(hypothesis)):.0f} times what is typical of the rating"
     fitted = f"The screen points at {name}. Fitted with it{beside}, {changes}"
@@ -223,9 +223,11 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
     """
     said = [one.sentence for one in found.dead]
     said += [run.saturation for run in found.runs if run.saturated]
-    tried = any(name.endswith("_sensor_lag") for name in found.outcome.judged)
-    delays = delays_of(_as_fit(found), found.runs)
-    said += [replace(delay, lag_refused=tried).sentence for delay in delays]
+    lags = [times for name, times in found.outcome.judged.items() if name.endswith("_sensor_lag")]
+    refused_lag = bool(lags) and max(lags) < 1.0
+    said += [
+        replace(delay, lag_refused=refused_lag).sentence for delay in delays_of(_as_fit(found), found.runs)
+    ]
     channels = {channel for run in found.runs for channel in (*run.channels, *run.imposed)}
     known = {quantity for run in found.runs for quantity in run.known}
     if "temperature" not in channels:

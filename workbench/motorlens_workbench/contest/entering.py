@@ -148,6 +148,8 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     Delays are found before any name is looked at, and from where they have led nothing shows of a lag. A channel may come
     early because any other lags: that is tried of which least squares leave the least.
     """
+    if here.null is None:
+        return Step()
     fitted = here.fitted
     delays = delays_of(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0), fitted.runs)
     # What a look says of their sizes is bent by the delays, and need not be possible.
