@@ -2,10 +2,11 @@
 
     python benchmarks/null.py --count 200 --seed 1
 
-Worlds of the hidden-effect simulator (another plant, other code), small recordings, nothing hidden; motor, noise, converter,
-excitation and channels drawn as in the blind benchmark. Printed are the quantiles of the weight of the heaviest hypothesis
-with a name, as it was fitted in full, and without one, over the weight that is needed, and the largest by factor; and of the
-error over the noise, and of the likelihood that colour left in the noise wins.
+Worlds of the hidden-effect simulator (another plant, other code), small recordings, nothing hidden; motor, noise,
+converter, excitation and channels drawn as in the blind benchmark. Printed are the quantiles of the weight of the heaviest
+hypothesis with a name, as it was fitted in full (also at a size that it cannot have), and without one, over the weight that
+is needed, and the largest by factor; and of the error over the noise, and of the likelihood that colour left in the noise
+wins.
 The file is appended to, and a world that is in it is not computed again. Some 6 s of processor time a world.
 """
 

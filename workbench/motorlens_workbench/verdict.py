@@ -208,7 +208,7 @@ def _refused(found: Finding, name: str) -> str:
     seen = seen_named(found.outcome.first).get(name)
     if seen is not None and not with_it.allows(hypothesis := seen.entry.hypothesis):
         size, unit = with_it.model.values()[hypothesis.key], with_it.model.file.meaning(hypothesis.key).unit
-        why = f"takes {size:.3g} {unit}, {abs(with_it.multiple(hypothesis)):.0f} times what is typical of the rating"
+        why = f"takes {size:.3g} {unit}, {abs(with_it.multiple(hypothesis)):.0f} times its typical size"
     fitted = f"The screen points at {name}. Fitted with it{beside}, {changes}"
     return f"{fitted}; but that {why}, so it may stand for something else."
 

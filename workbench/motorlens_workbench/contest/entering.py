@@ -1,7 +1,7 @@
 """Which name enters a model next: the best are fitted in full, and the best of those enters if it is beyond chance there.
 
 What may hold a rotor at rest is looked at from models that have it, once nothing else is beyond chance. Before all else,
-what a delay stands for may be the lag of a sensor: each is estimated from the beginning, and the likelier stays.
+what a delay stands for may be the lag of a sensor: the motor is estimated anew with one, and the likelier stays.
 
 Where no name does though something is missing, or where the model with one still does not follow, the motor is estimated
 from the beginning with each name of the equation: what is missing bends a fit, and from where that ends no name may help.
@@ -164,6 +164,7 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     if end is None or -log_chance(max(_won_by_either(here, end), 0.0), 1) < needed_weight(here, ()):
         return refused
     try:
+        # As the likelier of both sees it: to a motor with another timing the noise of the inputs is not what it is.
         there = stand(settled(end), own)
         told = worth(here, one, there.fitted, there)
     except ModelError:
