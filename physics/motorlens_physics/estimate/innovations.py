@@ -119,7 +119,11 @@ class Sums:
 
 def innovations(space: StateSpace, columns: Array) -> Filtered:
     """Filter columns (N, C, m), such as errors of all channels."""
-    return _filtered(space, columns, np.zeros(columns.shape[1]))
+    first = _filtered(space, np.array(columns[:, :, 0]), np.zeros(columns.shape[1]))
+    if columns.shape[2] == 1:
+        return first
+    (white,) = in_blocks(space, first, columns, [slice(0, len(columns))])
+    return replace(first, white=white)
 
 
 def in_blocks(space: StateSpace, known: Filtered, columns: Array, blocks: Iterable[slice]) -> Iterator[Array]:
@@ -143,7 +147,7 @@ def read(space: StateSpace, error: Array) -> Read:
     """What readings (N, C) less what is expected of them tell, sample by sample."""
     error, noise = np.array(error, order="C"), space.noise.copy()
     deviance, unlikely = np.zeros(error.shape), np.zeros(error.shape)
-    filtered = _filtered(replace(space, noise=noise), error[:, :, None], space.steps, deviance, unlikely)
+    filtered = _filtered(replace(space, noise=noise), error, space.steps, deviance, unlikely)
     told = replace(space, noise=noise, steps=np.zeros(len(space.steps)))
     return Read(told, error, filtered, deviance, unlikely)
 
@@ -184,20 +188,18 @@ def _balances(space: StateSpace) -> tuple[int, ...] | NDArray[np.int64]:
 
 
 def _filtered(
-    space: StateSpace, columns: Array, steps: Array, deviance: Array = NOTHING, unlikely: Array = NOTHING
+    space: StateSpace, column: Array, steps: Array, deviance: Array = NOTHING, unlikely: Array = NOTHING
 ) -> Filtered:
-    """Filter columns (N, C, m); with `steps`, one column is read and the others are written."""
+    """Filter a column (N, C); with `steps` it is read, and it and the others are written."""
     space, _ = _acting(space)
-    n, count, (samples, channels, width) = space.matrices.shape[1], len(space.balances), columns.shape
-    white, scale = np.empty(columns.shape), np.empty((samples, channels))
-    gain = np.zeros((samples, channels, n + count))
+    states = space.matrices.shape[1] + len(space.balances)
+    white, scale, gain = np.empty(column.shape), np.empty(column.shape), np.zeros((*column.shape, states))
     covariance = np.diag(np.concatenate([space.start, space.variance]))
     kalman.forward(
         _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds, space.keeps,
-        space.variance, space.noise, covariance, np.zeros((n + count, width)), np.ascontiguousarray(columns), white,
-        scale, gain, steps, deviance, unlikely,
+        space.variance, space.noise, covariance, column, white, scale, gain, steps, deviance, unlikely,
     )  # fmt: skip
-    return Filtered(white, scale, gain)
+    return Filtered(white[:, :, None], scale, gain)
 
 
 def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, Array]:

@@ -14,6 +14,8 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 # Information of a reading, as a share of that of its truth, below which it tells nothing; deviations from which on a tail is
 # taken as its asymptote.
 TELLS_NOTHING, TAIL = 1e-12, 25.0
+# The density of a standard normal deviate at nought; its distribution is that of the error function of so many of it.
+DENSITY, ROOT_HALF = 1 / math.sqrt(2 * math.pi), math.sqrt(0.5)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
@@ -50,32 +52,38 @@ def _states_ahead(each, matrices, balances, k, G, z, ahead):  # type: ignore[no-
 def _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P):  # type: ignore[no-untyped-def]
     """The covariance P of states and disturbances, from sample k - 1 to k."""
     n, count = len(each), len(balances)
-    # What the states become of states and disturbances, times their covariance.
-    _states_ahead(each, matrices, balances, k, G, P, A)
-    for d in range(count):
-        keep = keeps[k - 1, d]
-        fresh = variance[d] * (1.0 - keep * keep)
-        for e in range(d + 1):
-            total = keep * keeps[k - 1, e] * P[n + e, n + d]
-            if d == e:
-                total += fresh
-            P[n + d, n + e] = total
-            P[n + e, n + d] = total
-        for r in range(n):
-            total = keep * A[r, n + d] + late[r, d] * fresh
-            P[r, n + d] = total
-            P[n + d, r] = total
+    # What the states become of states and disturbances, times their covariance: as `_states_ahead`, but of as many columns
+    # as the compiler knows.
+    for r in range(n):
+        for m in range(n + count):
+            total = 0.0
+            for q in range(n):
+                total += matrices[k - 1, r, q] * P[q, m]
+            for d in range(count):
+                total += G[r, d] * P[n + d, m]
+            A[r, m] = total
     for r in range(n):
         for c in range(r, n):
             total = 0.0
             for q in range(n):
                 total += A[r, q] * matrices[k - 1, c, q]
             for d in range(count):
-                keep = keeps[k - 1, d]
                 total += A[r, n + d] * G[c, d]
-                total += late[r, d] * late[c, d] * variance[d] * (1.0 - keep * keep)
             P[r, c] = total
             P[c, r] = total
+    for d in range(count):
+        keep = keeps[k - 1, d]
+        fresh = variance[d] * (1.0 - keep * keep)
+        for e in range(d):
+            P[n + d, n + e] *= keep * keeps[k - 1, e]
+            P[n + e, n + d] = P[n + d, n + e]
+        P[n + d, n + d] = keep * keep * P[n + d, n + d] + fresh
+        # What is new at sample k is part of the states as well, where a disturbance runs linearly.
+        for r in range(n):
+            P[r, n + d] = keep * A[r, n + d] + late[r, d] * fresh
+            P[n + d, r] = P[r, n + d]
+            for c in range(n):
+                P[r, c] += late[r, d] * late[c, d] * fresh
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
@@ -102,23 +110,21 @@ def _interval(error, power, step):  # type: ignore[no-untyped-def]
 
     Returns:
         How far from there the mean of the truth is, its share of information, the logarithm of the probability density
-        of the reading, but for a constant, and the largest that this can be.
+        of the reading, but for a constant, and by how much that is less than it can be.
     """
     root = np.sqrt(power)
     a, b = (abs(error) - 0.5 * step) / root, (abs(error) + 0.5 * step) / root
-    width = np.log(step / np.sqrt(2 * np.pi))
-    most = np.log(math.erf(0.5 * step / (root * np.sqrt(2.0)))) - width
+    most = np.log(math.erf(0.5 * ROOT_HALF * step / root))
     if a > TAIL:
         mean, share = a + 1.0 / a, 1.0 - 1.0 / (a * a)
-        chance = -0.5 * a * a - np.log(a * np.sqrt(2 * np.pi)) - width
+        chance = -0.5 * a * a - np.log(a / DENSITY)
     else:
-        within = 0.5 * (math.erfc(a / np.sqrt(2.0)) - math.erfc(b / np.sqrt(2.0)))
-        below = np.exp(-0.5 * a * a) / np.sqrt(2 * np.pi)
-        above = np.exp(-0.5 * b * b) / np.sqrt(2 * np.pi)
+        within = 0.5 * (math.erfc(a * ROOT_HALF) - math.erfc(b * ROOT_HALF))
+        below, above = DENSITY * np.exp(-0.5 * a * a), DENSITY * np.exp(-0.5 * b * b)
         mean = (below - above) / within
         share = mean * mean + (b * above - a * below) / within
-        chance = np.log(within) - width
-    return np.copysign(mean * root, error), min(share, 1.0), chance, most
+        chance = np.log(within)
+    return np.copysign(mean * root, error), min(share, 1.0), chance - np.log(DENSITY * step), most - chance
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
@@ -136,41 +142,47 @@ def _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead):  # type: ig
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def forward(  # type: ignore[no-untyped-def]
-    each, matrices, shows, drifts, balances, holds, keeps, variance, noise, P, z, y, white, scale, gain, steps, deviance,
+    each, matrices, shows, drifts, balances, holds, keeps, variance, noise, P, y, white, scale, gain, steps, deviance,
     unlikely,
 ):  # fmt: skip
-    """Filter columns y (N, C, m), channel by channel.
+    """Filter one column y (N, C), channel by channel.
 
-    P and z are the covariance and the columns of the states at the first sample. Written are `white`, `scale` and `gain`,
-    see `innovations.Filtered`; with converters' `steps` (C,), of one column, also what is read, in y and in `noise`.
-    `deviance` and `unlikely` are those of `innovations.Read`, or empty.
+    P is the covariance of the states at the first sample. Written are `white` (N, C), `scale` and `gain`, see
+    `innovations.Filtered`; with converters' `steps` (C,) also what is read, in y and in `noise`. `deviance` and `unlikely`
+    are those of `innovations.Read`, or empty.
     """
     n, count = len(each), len(balances)
-    s, channels, width = n + count, y.shape[1], y.shape[2]
+    s, channels = n + count, y.shape[1]
     A, G, late = np.zeros((n, s)), np.zeros((n, count)), np.zeros((n, count))
-    ahead, K = np.zeros((n, width)), np.zeros(s)
+    z, ahead, K = np.zeros(s), np.zeros(n), np.zeros(s)
     for k in range(y.shape[0]):
         if k:
             _entering(matrices, balances, holds, keeps, k - 1, G, late)
             _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
-            _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead)
+            for r in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += matrices[k - 1, r, q] * z[q]
+                for d in range(count):
+                    total += G[r, d] * z[n + d]
+                ahead[r] = total
+            for r in range(n):
+                z[r] = ahead[r]
+            for d in range(count):
+                z[n + d] *= keeps[k - 1, d]
         for c in range(channels):
             h = shows[c]
             if not noise[k, c] < np.inf:
-                scale[k, c] = np.inf
-                for m in range(width):
-                    white[k, c, m] = 0.0
+                scale[k, c], white[k, c] = np.inf, 0.0
                 continue
             for r in range(s):
-                K[r] = P[r, h]
-            for m in range(width):
-                white[k, c, m] = y[k, c, m] - z[h, m]
+                K[r] = P[h, r]
+            error = y[k, c] - z[h]
             for d in drifts[c]:
                 if d >= 0:
                     for r in range(s):
-                        K[r] += P[r, n + d]
-                    for m in range(width):
-                        white[k, c, m] -= z[n + d, m]
+                        K[r] += P[n + d, r]
+                    error -= z[n + d]
             known = K[h]
             for d in drifts[c]:
                 if d >= 0:
@@ -178,32 +190,29 @@ def forward(  # type: ignore[no-untyped-def]
             power = known + noise[k, c]
             if steps[c] > 0:
                 power -= steps[c] ** 2 / 12
-                best, share, chance, most = _interval(white[k, c, 0], power, steps[c])
-                deviance[k, c] = 2.0 * (most - chance)
+                best, share, chance, less = _interval(error, power, steps[c])
+                deviance[k, c] = 2.0 * less
                 unlikely[k, c] = -2.0 * chance
                 if share < TELLS_NOTHING:
-                    noise[k, c], scale[k, c], white[k, c, 0] = np.inf, np.inf, 0.0
+                    noise[k, c], scale[k, c], white[k, c] = np.inf, np.inf, 0.0
                     continue
-                y[k, c, 0] += best / share - white[k, c, 0]
-                white[k, c, 0] = best / share
+                y[k, c] += best / share - error
+                error = best / share
                 power /= share
                 noise[k, c] = power - known
             elif len(deviance):
-                deviance[k, c] = white[k, c, 0] ** 2 / power
+                deviance[k, c] = error**2 / power
                 unlikely[k, c] = deviance[k, c] + np.log(power)
             root = np.sqrt(power)
-            scale[k, c] = root
+            one = 1.0 / root
+            scale[k, c], white[k, c] = root, error * one
             for r in range(s):
-                K[r] /= root
-                gain[k, c, r] = K[r] / root
-            for m in range(width):
-                white[k, c, m] /= root
-            for r in range(s):
-                for m in range(width):
-                    z[r, m] += K[r] * white[k, c, m]
-            for r in range(s):
-                for q in range(s):
+                K[r] *= one
+                gain[k, c, r] = K[r] * one
+                z[r] += K[r] * white[k, c]
+                for q in range(r + 1):
                     P[r, q] -= K[r] * K[q]
+                    P[q, r] = P[r, q]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
