@@ -144,17 +144,21 @@ def _skewed(model: Model, run: Run, r: int, channel: str, y: Array) -> Array:
     skew = model.own[r].get(f"skew.{channel}", 0.0)
     if not skew or not y.size:
         return y
-    late = np.empty(y.shape)
-    _late(y.reshape(len(y), -1), run.inputs.time_s, skew, late.reshape(len(y), -1))
-    return late
+    return y - skew * _rate(y, run.inputs.time_s)
 
 
-@njit(cache=True, nogil=True)
-def _late(y, time_s, skew, late):  # type: ignore[no-untyped-def]
-    """Columns (N, m) so late, by the rate of the parabola through three samples; at the ends, of the line through two.
+def _rate(y: Array, time_s: Array) -> Array:
+    """(N, ...) of columns, that of the parabola through three samples; at the ends, of the line through two.
 
     As numpy's `gradient`, which makes many arrays of this size on the way.
     """
+    rate = np.empty(y.shape)
+    _write_rate(np.ascontiguousarray(y).reshape(len(y), -1), time_s, rate.reshape(len(y), -1))
+    return rate
+
+
+@njit(cache=True, nogil=True)
+def _write_rate(y, time_s, rate):  # type: ignore[no-untyped-def]
     last = len(y) - 1
     for k in range(len(y)):
         before, after = time_s[k] - time_s[max(k - 1, 0)], time_s[min(k + 1, last)] - time_s[k]
@@ -165,8 +169,7 @@ def _late(y, time_s, skew, late):  # type: ignore[no-untyped-def]
         else:
             back, ahead = after / (before * (before + after)), before / (after * (before + after))
         for j in range(y.shape[1]):
-            rate = back * (y[k, j] - y[max(k - 1, 0), j]) + ahead * (y[min(k + 1, last), j] - y[k, j])
-            late[k, j] = y[k, j] - skew * rate
+            rate[k, j] = back * (y[k, j] - y[max(k - 1, 0), j]) + ahead * (y[min(k + 1, last), j] - y[k, j])
 
 
 def through_sensors(model: Model, run: Run, r: int, columns: Array) -> Array:
@@ -226,8 +229,7 @@ def sensitivities_of(
     for j, (key, name) in enumerate(zip(keys, local, strict=True)):
         if name.startswith("skew."):
             k = run.channels.index(name[5:])
-            rate = np.gradient(_sensed(model, run, name[5:], y[:, k]), run.inputs.time_s)
-            columns[:, k, j] = -rate
+            columns[:, k, j] = -_rate(_sensed(model, run, name[5:], y[:, k]), run.inputs.time_s)
         elif _is_sensor(model, key):
             value = model.file.values()[key]
             step = 1e-3 * max(abs(value), model.file.meaning(key).sd(model.file.rated))
@@ -318,7 +320,7 @@ def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:
 def _unread(sensors: Sequence[SensorModel], channel: str, time_s: Array, y: Array) -> Array:
     for sensor in reversed(sensors):
         if sensor.channel == channel:
-            rate = np.gradient(y, time_s) if sensor.kind == "lag" else 0.0
+            rate = _rate(y, time_s) if sensor.kind == "lag" else 0.0
             y = np.asarray(sensor.unread(y, rate), dtype=np.float64)
     return y
 
