@@ -31,9 +31,9 @@ from motorlens_physics.estimate.run import STATE_OF
 
 Array = NDArray[np.float64]
 
-# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. With more, a machine compiles
-# once for all.
-FEW = 5
+# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. To compile takes 7 s of a
+# processor, once on a machine, for every number: so it is an even one, and with more a machine compiles once for all.
+FEW = 4
 # What a filter that reads nothing writes.
 NOTHING = np.zeros((0, 0))
 
@@ -74,7 +74,7 @@ class Filtered:
     Attributes:
         white: (N, C, m) innovations of m columns, in units of their standard deviation; 0 where nothing was measured.
         scale: (N, C) that standard deviation, infinite where nothing was measured.
-        gain: (N, C, n + A) of each channel in its turn, of states and the disturbances that act: whose variance is not zero.
+        gain: (N, C, n + A) of each channel in its turn, of states and the disturbances that are looked at, see `_acting`.
     """
 
     white: Array
@@ -221,14 +221,22 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
         space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
+    of_inputs *= space.variance != 0
     return _among(seen, acting, every), _among(of_inputs, acting, every), of_channels
 
 
 def _acting(space: StateSpace) -> tuple[StateSpace, NDArray[np.int64]]:
-    """Without disturbances whose variance is zero, for they cost as much as others; the positions of those that are left."""
-    acting = np.flatnonzero(space.variance)
-    if len(acting) in (0, len(space.variance)):
-        return space, np.arange(len(space.variance))
+    """Without disturbances whose variance is zero, for they cost as much as others; the positions of those that are left.
+
+    Of few an even number is left if it can be, see `FEW`.
+    """
+    acts = space.variance != 0
+    count, none = np.count_nonzero(acts), np.flatnonzero(~acts)
+    if not count or not none.size:
+        return space, np.arange(len(acts))
+    if count < FEW and count % 2:
+        acts[none[0]] = True
+    acting = np.flatnonzero(acts)
     # The last stands for -1: none.
     now_at = np.full(len(space.variance) + 1, -1)
     now_at[acting] = np.arange(len(acting))
