@@ -30,15 +30,15 @@ SAMPLES, CHANNELS = 12, 2
 PLATE = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
 
 
-SPACES = [(3, False, False), (4, False, False), (3, True, False), (4, True, False), (3, True, True)]
+SPACES = [(3, False, ()), (4, False, ()), (3, True, ()), (4, True, ()), (3, True, (2,)), (3, True, (0, 2))]
 
 
 @pytest.fixture(scope="module", params=SPACES, ids=str)
 def space(request: pytest.FixtureRequest) -> StateSpace:
     """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start. Or besides coloured noise.
 
-    Of the voltage, which runs linearly, and of the second channel, whose state is the last. Or the slow one, which stands
-    before them, has no variance.
+    Of the voltage, which runs linearly, and of the second channel, whose state is the last. Or those
+    that are silent, which stand before others, have no variance.
     """
     states, lasting, silent = request.param
     rng = np.random.default_rng(0)
@@ -53,9 +53,11 @@ def space(request: pytest.FixtureRequest) -> StateSpace:
     )  # fmt: skip
     if not lasting:
         return found
+    variance = np.array([0.5, 0.8, 0.3, 0.4, 0.7])
+    variance[list(silent)] = 0.0
     return replace(
         found, shows=np.array([0, states - 1]), balances=np.array([0, 1, 1, 0, -1]), drifts=np.array([[-1, -1], [4, -1]]),
-        holds=np.array([True, False, True, False, True]), variance=np.array([0.5, 0.8, 0.0 if silent else 0.3, 0.4, 0.7]),
+        holds=np.array([True, False, True, False, True]), variance=variance,
         keeps=np.column_stack([keeps, np.full(SAMPLES - 1, 0.6), np.linspace(0.5, 0.8, SAMPLES - 1)]),
     )  # fmt: skip
 

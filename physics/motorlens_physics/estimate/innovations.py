@@ -31,8 +31,8 @@ from motorlens_physics.estimate.run import STATE_OF
 
 Array = NDArray[np.float64]
 
-# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. To compile takes 7 s of a
-# processor, once on a machine, for every number: so it is an even one, and with more a machine compiles once for all.
+# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. But a machine compiles for every
+# number, which takes longer than many a filter: so it is an even one, and with more it compiles once for all.
 FEW = 4
 # What a filter that reads nothing writes.
 NOTHING = np.zeros((0, 0))
