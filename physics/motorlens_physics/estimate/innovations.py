@@ -31,7 +31,7 @@ from motorlens_physics.estimate.run import STATE_OF
 
 Array = NDArray[np.float64]
 
-# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. But a machine compiles for every
+# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. But a machine compiles for each
 # number, which takes longer than many a filter: so it is an even one, and with more it compiles once for all.
 FEW = 4
 # What a filter that reads nothing writes.
