@@ -37,8 +37,8 @@ SPACES = [(3, False, ()), (4, False, ()), (3, True, ()), (4, True, ()), (3, True
 def space(request: pytest.FixtureRequest) -> StateSpace:
     """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start. Or besides coloured noise.
 
-    Of the voltage, which runs linearly, and of the second channel, whose state is the last. Or those
-    that are silent, which stand before others, have no variance.
+    Of the voltage, which runs linearly, and of the second channel, whose state is the last. Those that are
+    silent, which stand before others, have no variance.
     """
     states, lasting, silent = request.param
     rng = np.random.default_rng(0)

@@ -2,6 +2,7 @@
 
 States are the motor's n, then one value for every disturbance. Arguments are those of `innovations.StateSpace`. `each` is as
 long as the motor has states, and `balances` as there are disturbances: of tuples the compiler knows the length, and unrolls.
+One step ahead is written out for a covariance, a column and many columns, for loops of a length that is not known are slow.
 """
 
 import math
@@ -14,7 +15,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 # Information of a reading, as a share of that of its truth, below which it tells nothing; deviations from which on a tail is
 # taken as its asymptote.
 TELLS_NOTHING, TAIL = 1e-12, 25.0
-# The density of a standard normal deviate at nought; its distribution is that of the error function of so many of it.
+# The density of a standard normal deviate at 0, and the share of the deviate of which the error function is asked.
 DENSITY, ROOT_HALF = 1 / math.sqrt(2 * math.pi), math.sqrt(0.5)
 
 
@@ -35,25 +36,10 @@ def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _states_ahead(each, matrices, balances, k, G, z, ahead):  # type: ignore[no-untyped-def]
-    """What the states become (n, m) of columns z of states and disturbances, from sample k - 1 to k."""
-    n = len(each)
-    for r in range(n):
-        for m in range(z.shape[1]):
-            total = 0.0
-            for q in range(n):
-                total += matrices[k - 1, r, q] * z[q, m]
-            for d in range(len(balances)):
-                total += G[r, d] * z[n + d, m]
-            ahead[r, m] = total
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P):  # type: ignore[no-untyped-def]
     """The covariance P of states and disturbances, from sample k - 1 to k."""
     n, count = len(each), len(balances)
-    # What the states become of states and disturbances, times their covariance: as `_states_ahead`, but of as many columns
-    # as the compiler knows.
+    # What the states become of states and disturbances, times their covariance.
     for r in range(n):
         for m in range(n + count):
             total = 0.0
@@ -131,7 +117,14 @@ def _interval(error, power, step):  # type: ignore[no-untyped-def]
 def _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead):  # type: ignore[no-untyped-def]
     """The columns z of states and disturbances, from sample k - 1 to k."""
     n, width = len(each), z.shape[1]
-    _states_ahead(each, matrices, balances, k, G, z, ahead)
+    for r in range(n):
+        for m in range(width):
+            total = 0.0
+            for q in range(n):
+                total += matrices[k - 1, r, q] * z[q, m]
+            for d in range(len(balances)):
+                total += G[r, d] * z[n + d, m]
+            ahead[r, m] = total
     for r in range(n):
         for m in range(width):
             z[r, m] = ahead[r, m]

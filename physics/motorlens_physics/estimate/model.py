@@ -148,7 +148,7 @@ def _skewed(model: Model, run: Run, r: int, channel: str, y: Array) -> Array:
 
 
 def _rate(y: Array, time_s: Array) -> Array:
-    """(N, ...) of columns, that of the parabola through three samples; at the ends, of the line through two.
+    """Rate of change (N, ...) of columns, of the parabola through three samples; at the ends, of the line through two.
 
     As numpy's `gradient`, which makes many arrays of this size on the way.
     """
