@@ -89,6 +89,19 @@ def test_the_cost_at_the_minimum_of_a_linear_problem_is_foretold_from_anywhere(
     assert foretold(line, prior_of(bounds)) == pytest.approx(least, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("fixed", "least"), [({"y": 0.0}, 1.71), ({"y": -1.0}, 0.8), ({"x": 2.0}, 0.19), ({"x": 1.0, "y": 1.0}, 5.6)]
+)
+def test_the_cost_of_a_linear_problem_is_foretold_with_some_parameters_where_they_stay(
+    fixed: dict[str, float], least: float
+) -> None:
+    # With d = (3 - x, -3 - y) it costs d_x^2 + 1.8 d_x d_y + d_y^2: 0.19 d_y^2 where x is the best beside y, 0.3 beside 0;
+    # beside -1 that would be 1.2, which is beyond its bound.
+    root = np.linalg.cholesky(np.array([[1.0, 0.9], [0.9, 1.0]])).T
+    plane = Problem(lambda at: root @ (np.array([3.0, -3.0]) - at), (0.5, 0.7))
+    assert foretold(plane, prior_of((-1.0, 1.0), (-FREE, FREE)), fixed) == pytest.approx(least, rel=1e-5)
+
+
 def test_what_is_found_between_steps_is_no_reason_to_refuse_one() -> None:
     # From x = 4 the cost falls by 45; what is found there costs 100, at every point, as soon as it is looked at anew.
     line = Problem(lambda at: np.array([3 - at[0], 1 - 2 * at[0]]), (4.0,))

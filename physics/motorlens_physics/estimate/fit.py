@@ -266,13 +266,25 @@ def _seen(point: Point, prior: Prior) -> tuple[Array, Array, float, Array]:
     return gram, gradient, point.cost + prior.penalty(values), step
 
 
-def foretold(point: Point, prior: Prior) -> float:
+def foretold(point: Point, prior: Prior, fixed: Mapping[str, float] | None = None) -> float:
     """The cost at the minimum, what is known beforehand included, as the problem linearised about a point has it.
+
+    Args:
+        point: where it is linearised.
+        prior: the free parameters.
+        fixed: values of some of these at which they stay, wherever they are at the point.
 
     Raises:
         ModelError: a response to a parameter is not finite.
     """
     gram, gradient, cost, step = _seen(point, prior)
+    if fixed:
+        values, step = point.model.values(), np.zeros(len(step))
+        stays = np.array([key in fixed for key in prior.keys])
+        step[stays] = [fixed[key] - values[key] for key in prior.keys if key in fixed]
+        others = prior.only([key for key in prior.keys if key not in fixed])
+        beside = gradient[~stays] - gram[np.ix_(~stays, stays)] @ step[stays]
+        step[~stays] = _step(values, others, gram[np.ix_(~stays, ~stays)], beside, 0.0)
     return cost - 2 * float(gradient @ step) + float(step @ gram @ step)
 
 
