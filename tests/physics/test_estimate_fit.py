@@ -90,7 +90,8 @@ def test_the_cost_at_the_minimum_of_a_linear_problem_is_foretold_from_anywhere(
 
 
 @pytest.mark.parametrize(
-    ("fixed", "least"), [({"y": 0.0}, 1.71), ({"y": -1.0}, 0.8), ({"x": 2.0}, 0.19), ({"x": 1.0, "y": 1.0}, 5.6)]
+    ("fixed", "least"),
+    [({"y": 0.0}, 1.71), ({"y": -1.0}, 0.8), ({"x": 2.0}, 0.19), ({"x": 1.0, "y": 1.0}, 5.6)],
 )
 def test_the_cost_of_a_linear_problem_is_foretold_with_some_parameters_where_they_stay(
     fixed: dict[str, float], least: float
