@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from motorlens_physics.estimate.innovations import StateSpace, share_that_remains
 from motorlens_physics.estimate.run import STATE_OF, Run
-from motorlens_physics.estimate.signals import NOTHING_LASTS, Lasting, coloured_sd, noise_sd
+from motorlens_physics.estimate.signals import NOTHING_LASTS, Lasting, coloured_sd, decaying, noise_sd
 from motorlens_physics.sensitivity import Linearisation
 
 Array = NDArray[np.float64]
@@ -166,10 +165,7 @@ class Noise:
         """(N, 2) noise of the measured inputs as it may be, evenly sampled: all that `of_input` says."""
         white = rng.standard_normal((len(run.measured), len(self.all_of(run)))) * np.sqrt(self.all_of(run))
         keeps = np.median(self._keeps(run), axis=0)
-        every = [
-            lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], one)
-            for keep, one in zip(keeps, white.T, strict=True)
-        ]
+        every = [decaying(np.sqrt(1 - keep**2) * one, keep) for keep, one in zip(keeps, white.T, strict=True)]
         return np.column_stack([self.of_input(run, np.array(every).T, which) for which in (VOLTAGE, LOAD)])
 
     def _keeps(self, run: Run) -> Array:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from motorlens_physics.estimate.converter import (
     LastingError,
@@ -19,7 +18,7 @@ from motorlens_physics.estimate.converter import (
     quantisation_step,
     saturated,
 )
-from motorlens_physics.estimate.signals import level_of, noise_sd
+from motorlens_physics.estimate.signals import decaying, level_of, noise_sd
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import IMPOSED_BY, Recording, inputs_of
@@ -218,7 +217,7 @@ class Run:
         changes = np.concatenate([[0.0], np.broadcast_to(change, len(self.measured) - 1)])
         remains = float(np.exp(-self.period_s / motor.response_s))
         total = np.append(0.0, np.cumsum(changes))
-        unanswered = np.append(0.0, lfilter([1.0], [1.0, -remains], changes))
+        unanswered = np.append(0.0, decaying(changes, remains))
         # What changed until the first sample of a piece shows in none of them.
         first, last = slice(1, len(total) - rows + 1), slice(rows, None)
         told = total[last] - total[first] - unanswered[last] + remains ** (rows - 1) * unanswered[first]
