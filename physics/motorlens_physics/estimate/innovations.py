@@ -228,17 +228,20 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
 def _acting(space: StateSpace) -> tuple[StateSpace, NDArray[np.int64]]:
     """Without disturbances whose variance is zero, for they cost as much as others; the positions of those that are left.
 
-    Of few an even number is left if it can be, see `FEW`.
+    Of few an even number is left, see `FEW`: one more that is silent, which comes after all others if none of them is.
     """
-    acts = space.variance != 0
+    every, acts = len(space.variance), space.variance != 0
     count, none = np.count_nonzero(acts), np.flatnonzero(~acts)
-    if not count or not none.size:
-        return space, np.arange(len(acts))
-    if count < FEW and count % 2:
-        acts[none[0]] = True
+    if count % 2 and count < FEW:
+        if none.size:
+            acts[none[0]] = True
+        else:
+            space, acts = _with_a_silent_one(space), np.append(acts, True)
+    elif not count or not none.size:
+        return space, np.arange(every)
     acting = np.flatnonzero(acts)
     # The last stands for -1: none.
-    now_at = np.full(len(space.variance) + 1, -1)
+    now_at = np.full(len(acts) + 1, -1)
     now_at[acting] = np.arange(len(acting))
     fewer = replace(
         space, balances=space.balances[acting], drifts=now_at[space.drifts], holds=space.holds[acting],
@@ -247,10 +250,22 @@ def _acting(space: StateSpace) -> tuple[StateSpace, NDArray[np.int64]]:
     return fewer, acting
 
 
+def _with_a_silent_one(space: StateSpace) -> StateSpace:
+    """The same, and a disturbance of no balance and no variance."""
+    return replace(
+        space,
+        balances=np.append(space.balances, -1),
+        holds=np.append(space.holds, False),
+        keeps=np.pad(space.keeps, ((0, 0), (0, 1))),
+        variance=np.append(space.variance, 0.0),
+    )
+
+
 def _among(found: Array, acting: NDArray[np.int64], every: int) -> Array:
     """What was found of the acting disturbances (..., A) among all of them (..., D), zero for the others."""
     among = np.zeros((*found.shape[:-1], every))
-    among[..., acting] = found
+    own = acting < every
+    among[..., acting[own]] = found[..., own]
     return among
 
 
