@@ -5,13 +5,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers.textbook import textbook_on
 
+from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.weighed import weighed
 from motorlens_workbench.contest import entering
 from motorlens_workbench.contest.entering import Step, enter_for_delays, enter_unseen
 from motorlens_workbench.contest.needed import beyond_chance, unseen
-from motorlens_workbench.standing import Standing
+from motorlens_workbench.evidence.ledger import Lens, ledger
+from motorlens_workbench.refit import promise
+from motorlens_workbench.standing import Standing, stand
 
 STRIBECK = {"name": "stribeck_friction", "size": 0.0026, "shape": {"w_k": 15.1}}
 COGGING = {"name": "cogging_torque", "size": 0.0084, "shape": {"cog_N": 12.0, "cog_p": 1.9}}
@@ -91,6 +96,30 @@ def test_where_nothing_holds_the_rotor_nothing_wins_enough_and_all_is_refused(ba
     # A linear step from a model with friction may promise more than holds once it is fitted.
     assert not step.judged and set(said) <= {"fitting with stribeck friction"}
     assert not unseen(here, step.refused)
+
+
+@pytest.mark.fit
+def test_what_a_model_wins_by_itself_is_no_promise_of_a_name(bare: Standing) -> None:
+    """Eight deviations beside the best resistance cost 64 and more, which every fit wins, and nothing is missing."""
+    stood, key = bare.fitted, "R_a0"
+    sd = float(np.sqrt(stood.covariance[stood.prior.keys.index(key), stood.prior.keys.index(key)]))
+    away = stood.model.with_values({key: stood.model.values()[key] + 8 * sd})
+    # As `under` makes them, but for the fit.
+    there = stand(replace(stood, model=away))
+    beside = ledger(there.lines, Lens(bare.noises), stood.prior, ()).beside()
+    best, beginning = (_cost(model, bare) for model in (stood.model, away))
+    assert beginning - best > 60
+    promised = {
+        one.name: promise(replace(stood, model=away, cost=beginning), beside, one) for one in unseen(bare, [])
+    }
+    assert promised and max(promised.values()) < 16
+
+
+def _cost(model: Model, here: Standing) -> float:
+    """Of a model on the runs of another, what is known beforehand included."""
+    runs, prior = here.fitted.runs, here.fitted.prior
+    point = weighed(model, runs, here.noises, [run.there for run in runs], prior.keys)
+    return point.cost + prior.penalty(model.values())
 
 
 @pytest.mark.fit
