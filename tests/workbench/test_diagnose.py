@@ -104,6 +104,24 @@ def test_nothing_missing_is_said_with_what_would_have_been_seen(rough):
 
 
 @pytest.mark.fit
+@pytest.mark.parametrize(("share", "kind"), [(0.4, "unknown"), (0.8, "adequate")])
+def test_where_a_parameter_makes_up_for_what_is_missing_or_the_file_is_wrong_nothing_is_called_adequate(
+    rough: MotorFile, share: float, kind: str
+) -> None:
+    """An inductance that is told as a share of what the file has; its deviation there is 0.0034 H."""
+    wrong = rough.with_values({"L": rough.motor.L / share})
+    _, document = diagnosed(wrong, recorded(2))
+    assert document["verdict"] == kind
+    contradiction = [text for text in document["cannot_tell"] if text.startswith("L: ")]
+    assert bool(contradiction) is (kind == "unknown") and not document["chosen"]
+    if kind == "unknown":
+        assert document["equation"] == "electrical" and "unknown_shape" not in document
+        assert to_text(document).startswith(
+            "Either L is not what the motor file says, or something is missing"
+        )
+
+
+@pytest.mark.fit
 def test_an_effect_of_which_only_a_product_is_told_is_named(tmp_path):
     """Of another plant: how wide the gap of a coasting bridge is, or how high its supply, its voltage alone does not say."""
     made = known("dev-0420", tmp_path)

@@ -18,6 +18,7 @@ from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import by_run, fitted_errors
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
+from motorlens_workbench.hypotheses.courses import parameters_of
 from motorlens_workbench.standing import Standing
 
 # Names in a group that anybody would read.
@@ -35,6 +36,7 @@ class Verdict:
         equation: which balance fails; None where none does.
         probability: of every hypothesis, that it is what is missing.
         shape: the term without a name that remains; None if none does.
+        contradicted: parameters that are far from the motor file, where nothing else is missing: one of the two is wrong.
         untold: what the recordings cannot tell, sentences.
     """
 
@@ -44,6 +46,7 @@ class Verdict:
     equation: str | None
     probability: Mapping[str, float]
     shape: Score | None
+    contradicted: tuple[str, ...]
     untold: tuple[str, ...]
 
 
@@ -68,6 +71,10 @@ def settle(found: Finding) -> Verdict:
     last = outcome.last
     kind, equation = _kind(found, held, groups)
     shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
+    contradicted = tuple(findings(_as_fit(found)).far) if kind == "adequate" else ()
+    if contradicted:
+        # What is missing may be just what a parameter makes up for: then nothing shows but where that has gone.
+        kind, equation = "unknown", _equation_of(found, contradicted[0])
     return Verdict(
         kind,
         chosen,
@@ -75,6 +82,7 @@ def settle(found: Finding) -> Verdict:
         equation,
         probability,
         shape,
+        contradicted,
         tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
     )
 
@@ -114,6 +122,13 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
+
+
+def _equation_of(found: Finding, key: str) -> str | None:
+    """Where a parameter of the motor stands; None if that is in more than one equation."""
+    channels = [channel for run in found.runs for channel in run.channels]
+    equation, _ = parameters_of(found.outcome.last.fitted.model.file, channels).get(key, (None, ()))
+    return equation
 
 
 def _names(found: Finding) -> list[str]:

@@ -180,6 +180,12 @@ def sentence(found: Finding, verdict: Verdict) -> str:
         return f"{what}: {' and '.join(said)}."
     if verdict.kind == "group":
         return f"Missing: {'; and '.join(offered)}. These recordings cannot tell more."
+    if verdict.contradicted:
+        far = " and ".join(verdict.contradicted)
+        return (
+            f"Either {far} {'is' if len(verdict.contradicted) == 1 else 'are'} not what the motor file says, or something "
+            "is missing that this makes up for; nothing else shows above the sizes listed."
+        )
     if verdict.kind == "unknown":
         assert verdict.shape is not None
         rest = f"{_shape(verdict.shape)}"
