@@ -161,11 +161,13 @@ def promise(fitted: Fitted, beside: Beside, score: Score) -> float:
 
     Where its size is nought, the parameters beside it may fall from there to less than the model has: it did not do that.
     """
+    size = score.entry.hypothesis.key
     for point, prior in _starts(fitted, beside, score):
-        values = point.model.values()
+        values, null = point.model.values(), point.model.file.meaning(size).null
+        assert null is not None
         own = {key: values[key] for key in prior.keys if key not in fitted.prior.keys}
         try:
-            without = foretold(point, prior, own | _nought(score))
+            without = foretold(point, prior, {**own, size: null})
             return min(fitted.cost, without) - foretold(point, prior)
         except ModelError:
             continue
@@ -201,15 +203,6 @@ def _typical(score: Score) -> Array:
     low, high = score.entry.shape.limits()
     sign = np.sign(score.coefficient[0])
     return np.asarray(np.eye(score.entry.shape.width)[0] * (sign if sign and low <= sign <= high else 1.0))
-
-
-def _nought(score: Score) -> dict[str, float]:
-    """The size, by key, at which a hypothesis changes nothing."""
-    shape = score.entry.shape
-    assert isinstance(shape, EffectShape | SensorShape)
-    switch = shape.sensor.switch() if isinstance(shape, SensorShape) else type(shape.parts[0]).switch()
-    assert switch is not None and switch.null is not None
-    return {f"{score.name}.{switch.name}": switch.null}
 
 
 def _sizes(score: Score) -> Array:

@@ -125,7 +125,7 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
 
 
 def _equation_of(found: Finding, key: str) -> str | None:
-    """Where a parameter of the motor stands; None if that is in more than one equation."""
+    """Where a parameter of the motor stands; None of one that no course is looked for of, see `parameters_of`."""
     channels = [channel for run in found.runs for channel in run.channels]
     equation, _ = parameters_of(found.outcome.last.fitted.model.file, channels).get(key, (None, ()))
     return equation

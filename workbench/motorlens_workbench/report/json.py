@@ -182,9 +182,10 @@ def sentence(found: Finding, verdict: Verdict) -> str:
         return f"Missing: {'; and '.join(offered)}. These recordings cannot tell more."
     if verdict.contradicted:
         far = " and ".join(verdict.contradicted)
+        verb, makes = ("is", "it makes") if len(verdict.contradicted) == 1 else ("are", "they make")
         return (
-            f"Either {far} {'is' if len(verdict.contradicted) == 1 else 'are'} not what the motor file says, or something "
-            "is missing that this makes up for; nothing else shows above the sizes listed."
+            f"Either {far} {verb} not what the motor file says, or something is missing that {makes} up for; nothing else "
+            "shows above the sizes listed."
         )
     if verdict.kind == "unknown":
         assert verdict.shape is not None
