@@ -33,7 +33,7 @@ quick: .venv/everything
 	$(PYTEST) -m "not fit and not blind"
 
 test: .venv/everything
-	$(PYTEST)
+	$(PYTEST) -m "not long"
 
 check: .venv/everything
 	$(BIN)/ruff check .

@@ -1,7 +1,7 @@
 """What holds for every test: one thread a worker, machine code shared by all, no process that outlives its test, its tier.
 
-Tiers, by what a test costs: no mark, up to half a second of a processor; `fit`; `blind` (see CONTRIBUTING.md). What a test
-without a mark has used is measured, and those that belong elsewhere are listed at the end of a run.
+Tiers, by what a test costs: no mark, up to half a second of a processor; `fit`; `blind`; and `long`, which `make test`
+leaves out (see CONTRIBUTING.md). What a test has used is measured, and those that belong elsewhere are listed in the end.
 """
 
 import ctypes
@@ -31,9 +31,10 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 _LASTING = ("multiprocessing.resource_tracker", "multiprocessing.forkserver")
 # A program that has been told to end may need a moment on a busy machine.
 _GRACE_S = 60.0
-# A test of the quick tier uses half a second; a first compilation or import may fall on anyone.
-_QUICK_S = 2.0
-_costly: dict[str, float] = {}
+# A test of the quick tier uses half a second, one that is not long half a minute; a first compilation or import may fall on
+# anyone.
+_QUICK_S, _SHORT_S = 2.0, 45.0
+_costly: dict[str, tuple[float, str]] = {}
 # What each file of tests has used of a processor, fixtures and programs included, and how long it took, with what it waited
 # for: said of so long a run, so many files of it.
 _LONG_S, _SHOWN = 60.0, 25
@@ -116,7 +117,9 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     used = {name: value for name, value in report.user_properties if isinstance(value, float)}
     call_s = used.get("call_s", 0.0)
     if report.when == "call" and call_s > _QUICK_S and not set(TIERS) & set(report.keywords):
-        _costly[report.nodeid] = call_s
+        _costly[report.nodeid] = call_s, "fit"
+    if report.when == "call" and call_s > _SHORT_S and "long" not in report.keywords:
+        _costly[report.nodeid] = call_s, "long"
     file = report.nodeid.partition("::")[0]
     used_s, lasted_s = _by_file.get(file, (0.0, 0.0))
     _by_file[file] = used_s + sum(used.values()) * (report.when == "teardown"), lasted_s + report.duration
@@ -129,9 +132,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         for name, (used_s, lasted_s) in sorted(_by_file.items(), key=lambda pair: -max(pair[1]))[:_SHOWN]:
             terminalreporter.write_line(f"{used_s:6.1f} s {lasted_s:6.1f} s  {name}")
     if _costly:
-        terminalreporter.section(f"above {_QUICK_S} s of a processor: make them cheaper, or mark them fit")
-        for name, used_s in sorted(_costly.items(), key=lambda pair: -pair[1]):
-            terminalreporter.write_line(f"{used_s:6.1f} s  {name}")
+        terminalreporter.section("make them cheaper, or mark them")
+        for name, (used_s, mark) in sorted(_costly.items(), key=lambda pair: -pair[1][0]):
+            terminalreporter.write_line(f"{used_s:6.1f} s of a processor  {mark:4}  {name}")
 
 
 def _processor_s() -> float:

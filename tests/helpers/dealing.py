@@ -3,7 +3,7 @@
 import pytest
 
 # Marks of what takes long, see `conftest.py`; and about how long a test does, in seconds.
-TIERS = {"fit": 1, "blind": 20}
+TIERS = {"fit": 1, "blind": 20, "long": 40}
 
 
 def dealt(items: list[pytest.Item], workers: int) -> list[list[pytest.Item]]:

@@ -100,6 +100,7 @@ LAB = MotorFile(
 LAB_KEYS = ["R_a0", "L", "ke", "J", "coulomb_friction.tau_c"]
 
 
+@pytest.mark.long
 def test_voltage_and_speed_alone_tell_ke_and_not_the_resistance() -> None:
     # How each ran between its samples is found. Of every eighth, its delay is half a sample: it passes for inductance.
     runs = [lab_motor("Chirp"), lab_motor("Stair")]
@@ -117,6 +118,7 @@ def test_voltage_and_speed_alone_tell_ke_and_not_the_resistance() -> None:
     assert abs(found.value["L"] - 2.853e-3) < 2 * found.sd["L"]
 
 
+@pytest.mark.long
 def test_a_delay_that_shows_in_few_flanks_is_found_and_does_not_pass_for_inductance() -> None:
     # Half of the stair is rest, and the liveliest piece of the chirp says little of the stair's delay of five samples.
     runs = [read_recording(FOLDER / "fra233" / f"V2_{run}.csv.gz") for run in ("Chirp_1", "Stair_2")]

@@ -47,7 +47,7 @@ def test_widths_and_pulls_are_those_of_the_density(ke):
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1])
 def test_a_step_a_file_does_not_end_at_a_twentieth_of_the_motor_constant(seed):
     """A geared motor with friction that its file lacks, five steps from rest; speed comes late and in whole degrees.
 

@@ -47,6 +47,7 @@ def test_a_drop_of_the_driver_is_among_what_a_wheel_motor_lacks():
     assert after["speed"] < 0.75 * before["speed"] and after["current"] < 0.75 * before["current"]
 
 
+@pytest.mark.long
 @needs_recordings
 @pytest.mark.fit
 def test_wheel_motors_in_one_call_lack_a_drop_and_a_friction():
@@ -62,6 +63,7 @@ def test_wheel_motors_in_one_call_lack_a_drop_and_a_friction():
     assert held_out(last.book, last.lines)["speed"] < 1.5
 
 
+@pytest.mark.long
 @needs_recordings
 @pytest.mark.fit
 def test_an_engineer_adds_friction_and_then_a_drop_to_wheel_motors_and_the_error_falls():
@@ -76,6 +78,7 @@ def test_an_engineer_adds_friction_and_then_a_drop_to_wheel_motors_and_the_error
         file = step.rungs[-1].file
 
 
+@pytest.mark.long
 @needs_recordings
 @pytest.mark.fit
 def test_the_iron_of_a_thruster_warms_its_winding_late_and_no_sensor_is_blamed():

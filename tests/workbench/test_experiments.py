@@ -51,6 +51,7 @@ def proposed(found: Finding) -> tuple[Verdict, Experiment | None]:
     return verdict, propose(found, verdict, np.random.default_rng(0))
 
 
+@pytest.mark.long
 @pytest.mark.fit
 @pytest.mark.parametrize("guilty", sorted(TWINS))
 def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_off(rough, guilty):

@@ -80,6 +80,7 @@ def test_a_bridge_and_friction_enter_together(file):
     assert enter_two(here, other, (), said.append) is None
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_two_that_leave_more_than_noise_are_not_the_truth(file, monkeypatch):
     """A bump of the torque is missing besides, and in no catalogue: each is beyond chance beside the other."""

@@ -36,7 +36,14 @@ class DirectionalFriction(Effect):
         null=0.0,
     )
     w_s: float = param(
-        0.5, "rad/s", "width of the smoothing", bounds=(1e-3, 50.0), prior=0.002, of="speed", fixed=True
+        0.5,
+        "rad/s",
+        "width of the smoothing",
+        bounds=(1e-3, 50.0),
+        prior=0.002,
+        of="speed",
+        fixed=True,
+        role="width",
     )
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:

@@ -27,7 +27,14 @@ class LoadDependentFriction(Effect):
 
     mu: float = param(0.0, "1", "friction per torque carried", bounds=(0.0, 1.0), prior=0.05, null=0.0)
     w_s: float = param(
-        0.5, "rad/s", "width of the smoothing", bounds=(1e-3, 50.0), prior=0.002, of="speed", fixed=True
+        0.5,
+        "rad/s",
+        "width of the smoothing",
+        bounds=(1e-3, 50.0),
+        prior=0.002,
+        of="speed",
+        fixed=True,
+        role="width",
     )
     tau_r: float = param(
         1e-3,

@@ -42,7 +42,14 @@ class StribeckFriction(Effect):
         of="speed",
     )
     w_s: float = param(
-        0.5, "rad/s", "width of the smoothing", bounds=(1e-3, 50.0), prior=0.002, of="speed", fixed=True
+        0.5,
+        "rad/s",
+        "width of the smoothing",
+        bounds=(1e-3, 50.0),
+        prior=0.002,
+        of="speed",
+        fixed=True,
+        role="width",
     )
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:
