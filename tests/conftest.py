@@ -33,7 +33,7 @@ _LASTING = ("multiprocessing.resource_tracker", "multiprocessing.forkserver")
 _GRACE_S = 60.0
 # A test of the quick tier uses half a second, one that is not long half a minute; a first compilation or import may fall on
 # anyone.
-_QUICK_S, _SHORT_S = 2.0, 45.0
+_QUICK_S, _SHORT_S = 2.0, 60.0
 _costly: dict[str, tuple[float, str]] = {}
 # What each file of tests has used of a processor, fixtures and programs included, and how long it took, with what it waited
 # for: said of so long a run, so many files of it.

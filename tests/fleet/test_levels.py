@@ -240,6 +240,7 @@ def test_a_spread_that_is_not_told_is_within_what_was_known_beforehand(known):
     assert found.likely[0, 0] < 0.78 * known
 
 
+@pytest.mark.fit
 def test_intervals_hold_where_the_spread_is_not_told():
     """Fleets whose motors differ by 0.7 times the deviation of a recording: most do not tell by how much."""
     inside, untold = [], 0

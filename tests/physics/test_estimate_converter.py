@@ -49,6 +49,7 @@ def test_a_plateau_inside_the_range_is_not_the_end_of_it():
         assert not saturated(y).any()
 
 
+@pytest.mark.fit
 @pytest.mark.parametrize("held", [1, 20, 400])
 @pytest.mark.parametrize("sd", [0.0, 0.03, 0.09, 0.15, 0.3])
 def test_a_converters_error_is_as_large_and_lasts_as_long_as_drawn_ones(sd, held):
