@@ -115,6 +115,9 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
             return "unknown", heaviest.entry.hypothesis.equation
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
         return ("not_testable" if blind else "adequate"), None
+    if last.rest is not None and not leaves_noise(last) and last.book.colour > _won([one for one, _ in held]):
+        # The names are no more than a part of what is missing.
+        return "unknown", last.rest.entry.hypothesis.equation
     if any(len(group) > 1 for group in groups):
         kind = "group"
     elif all(one.hypothesis.kind == "sensor" for one, _ in held):
@@ -122,6 +125,11 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
+
+
+def _won(accepted: Sequence[Accepted]) -> float:
+    """What names have won of the likelihood, as it is told of colour: twice the logarithm."""
+    return sum(one.gain * one.scatter for one in accepted)
 
 
 def _equation_of(found: Finding, key: str) -> str | None:
