@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.innovations import read
 from motorlens_physics.estimate.model import error_of, predict
-from motorlens_physics.estimate.noise import UNEXPLAINED, Noise
+from motorlens_physics.estimate.noise import TORQUE, UNEXPLAINED, Noise
 from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
@@ -186,12 +186,13 @@ def unlikely_from(here: Standing, fitted: Fitted) -> float:
     """How unlikely what another model leaves is, as `Standing.unlikely`.
 
     The noise of the inputs goes through the motor that stands, not through the other: or a motor that responds less would
-    have less of it, and be preferred.
+    have less of it, and be preferred. But a torque that nobody measured lasts as long as the other has found: what one model
+    lacks may have passed for such a torque.
 
     Raises:
         ModelError: the model cannot be simulated.
     """
-    return unlikelihood([_noise(line) for line in here.lines], here.lines, _left_by(here, fitted))
+    return unlikelihood(_noises(here, fitted), here.lines, _left_by(here, fitted))
 
 
 def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
@@ -208,8 +209,16 @@ def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
 
 def _unlikely_samples(here: Standing, fitted: Fitted) -> list[Array]:
     """(N,) of each run: how unlikely each sample is."""
-    left = zip(here.lines, _left_by(here, fitted), strict=True)
-    return [_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in left]
+    left = zip(here.lines, _noises(here, fitted), _left_by(here, fitted), strict=True)
+    return [_unlikely(line, _likeliest(noise, line, rest), rest) for line, noise, rest in left]
+
+
+def _noises(here: Standing, fitted: Fitted) -> list[Noise]:
+    """Of each run from where a model stands, an unmeasured torque as lasting as in another."""
+    return [
+        _noise(line).lasting(float(_found(run).lasts_s[TORQUE]))
+        for line, run in zip(here.lines, fitted.runs, strict=True)
+    ]
 
 
 def _likeliest(noise: Noise, line: Line, rest: Array) -> Noise:
@@ -304,9 +313,13 @@ def _no_more_than(noise: Noise, other: Noise) -> Noise:
 
 
 def _noise(line: Line) -> Noise:
-    if line.run.noise is None:
-        raise ModelError(f"{line.run.name}: no noise was found in it")
-    return line.run.noise
+    return _found(line.run)
+
+
+def _found(run: Run) -> Noise:
+    if run.noise is None:
+        raise ModelError(f"{run.name}: no noise was found in it")
+    return run.noise
 
 
 def _constants(lines: Sequence[Line]) -> dict[str, str]:

@@ -170,8 +170,7 @@ def lasting(
 
 def _of_torque(run: Run, response_s: float) -> tuple[tuple[float, ...], int]:
     """In how few samples a torque that nobody measured may be over, if in few, and updates that tell it from noise."""
-    # Beside a load that was measured it would be that sensor's noise, which is in the inputs.
-    if response_s < run.period_s and "load_torque" not in run.known:
+    if response_s < run.period_s:
         return (WITHIN_A_SAMPLE, SHORT), CONVERGED
     return ((SHORT,) if response_s < SHORT * run.period_s else ()), ROUGHLY
 
