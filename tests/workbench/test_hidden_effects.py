@@ -102,10 +102,15 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
     assert made.truth["hidden"][0]["size"] == pytest.approx(truths[number]["hidden"][0]["size"], rel=1e-3)
 
 
-def test_the_cases_of_other_tests_are_those_of_the_plan_of_800(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("count", "names"), [(800, ("dev-0061", "dev-0420", "dev-0633")), (2400, ("dev-1794", "dev-1937"))]
+)
+def test_the_cases_of_other_tests_are_those_of_the_plan(
+    count: int, names: tuple[str, ...], tmp_path: Path
+) -> None:
     """Sized up as the one above was."""
-    plan = {case.id: case for case in draw("dev", 800, small=True)}
-    for name in ("dev-0061", "dev-0420", "dev-0633"):
+    plan = {case.id: case for case in draw("dev", count, small=True)}
+    for name in names:
         truth = known(name, tmp_path / name).truth
         assert truth["case"]["seed"] == plan[name].seed
         assert tuple(map(tuple, truth["case"]["hidden"])) == plan[name].hidden

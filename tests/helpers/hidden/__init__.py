@@ -53,7 +53,7 @@ from helpers.hidden.world import (
     write_csv,
 )
 
-# What `generate` said of the cases of the plan of 800 small ones that tests use, for sizing up a case costs seconds.
+# What `generate` said of the cases of the plans of 800 and 2400 small ones that tests use: sizing up a case costs seconds.
 _KEY = Path(__file__).with_name("dev-key.jsonl")
 # A record, and its true channels.
 Written = tuple[Record, dict[str, plant.Array]]
@@ -148,7 +148,7 @@ def generate_again(truth: dict[str, Any], directory: Path) -> Generated:
 
 
 def known(name: str, directory: Path) -> Generated:
-    """A case of `draw("dev", 800, small=True)` whose truth is kept here: the files that `generate` would write."""
+    """A small case of the split `dev` whose truth is kept here: the files that `generate` would write."""
     truths = map(json.loads, _KEY.read_text(encoding="utf-8").splitlines())
     return generate_again(next(truth for truth in truths if truth["case"]["id"] == name), directory)
 
