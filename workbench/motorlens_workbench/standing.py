@@ -186,13 +186,27 @@ def unlikely_from(here: Standing, fitted: Fitted) -> float:
     """How unlikely what another model leaves is, as `Standing.unlikely`.
 
     The noise of the inputs goes through the motor that stands, not through the other: or a motor that responds less would
-    have less of it, and be preferred. But a torque that nobody measured lasts as long as the other has found: what one model
-    lacks may have passed for such a torque.
+    have less of it, and be preferred.
 
     Raises:
         ModelError: the model cannot be simulated.
     """
-    return unlikelihood(_noises(here, fitted), here.lines, _left_by(here, fitted))
+    return unlikelihood([_noise(line) for line in here.lines], here.lines, _left_by(here, fitted))
+
+
+def unlikely_as_lasting(here: Standing, fitted: Fitted) -> float:
+    """See `unlikely_from`, a torque that nobody measured as lasting as the other model has found.
+
+    For models with the same effects: what one lacks would pass for such a torque.
+
+    Raises:
+        ModelError: the model cannot be simulated.
+    """
+    noises = [
+        _noise(line).lasting(float(_found(run).lasts_s[TORQUE]))
+        for line, run in zip(here.lines, fitted.runs, strict=True)
+    ]
+    return unlikelihood(noises, here.lines, _left_by(here, fitted))
 
 
 def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
@@ -209,16 +223,8 @@ def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
 
 def _unlikely_samples(here: Standing, fitted: Fitted) -> list[Array]:
     """(N,) of each run: how unlikely each sample is."""
-    left = zip(here.lines, _noises(here, fitted), _left_by(here, fitted), strict=True)
-    return [_unlikely(line, _likeliest(noise, line, rest), rest) for line, noise, rest in left]
-
-
-def _noises(here: Standing, fitted: Fitted) -> list[Noise]:
-    """Of each run from where a model stands, an unmeasured torque as lasting as in another."""
-    return [
-        _noise(line).lasting(float(_found(run).lasts_s[TORQUE]))
-        for line, run in zip(here.lines, fitted.runs, strict=True)
-    ]
+    left = zip(here.lines, _left_by(here, fitted), strict=True)
+    return [_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in left]
 
 
 def _likeliest(noise: Noise, line: Line, rest: Array) -> Noise:
