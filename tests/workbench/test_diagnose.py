@@ -15,7 +15,6 @@ from helpers.hidden import known
 
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.estimate.calibrate import calibrate
-from motorlens_physics.estimate.noise import TORQUE
 from motorlens_physics.motor_file import MotorFile, read_motor_file, write_motor_file
 from motorlens_physics.ops import exp, tanh, turning
 from motorlens_physics.parameter import param
@@ -298,19 +297,3 @@ def test_a_name_that_wins_less_than_what_stays_correlated_is_no_more_than_a_part
     verdict = settle(found)
     assert (verdict.kind, verdict.equation) == ("unknown", "mechanical")
     assert verdict.shape is not None and "something is left that no effect" in sentence(found, verdict)
-
-
-@pytest.mark.long
-@pytest.mark.blind
-def test_an_offset_of_the_load_is_told_beside_a_torque_that_nobody_measured(tmp_path):
-    """The offset passes for a torque that lasts; once it is in the model, what is left lasts a second, as was drawn."""
-    made = known("dev-1937", tmp_path)
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
-    (group,) = settle(found).groups
-    assert set(group) == {"constant_torque", "load_torque_sensor_offset"}
-    slow = max(found.outcome.last.fitted.runs, key=lambda run: run.period_s)
-    assert 0.3 <= slow.noise.lasts_s[TORQUE] <= 3.0
-    size = made.truth["hidden"][0]["size"]
-    one = found.outcome.accepted[0]
-    value, sd = measured(found, one)
-    assert abs(abs(value) - size) < 3 * sd and sd < 0.1 * size

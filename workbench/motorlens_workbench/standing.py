@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.innovations import read
 from motorlens_physics.estimate.model import error_of, predict
-from motorlens_physics.estimate.noise import TORQUE, UNEXPLAINED, Noise
+from motorlens_physics.estimate.noise import UNEXPLAINED, Noise
 from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
@@ -194,21 +194,6 @@ def unlikely_from(here: Standing, fitted: Fitted) -> float:
     return unlikelihood([_noise(line) for line in here.lines], here.lines, _left_by(here, fitted))
 
 
-def unlikely_as_lasting(here: Standing, fitted: Fitted) -> float:
-    """See `unlikely_from`, a torque that nobody measured as lasting as the other model has found.
-
-    For models with the same effects: what one lacks would pass for such a torque.
-
-    Raises:
-        ModelError: the model cannot be simulated.
-    """
-    noises = [
-        _noise(line).lasting(float(_found(run).lasts_s[TORQUE]))
-        for line, run in zip(here.lines, fitted.runs, strict=True)
-    ]
-    return unlikelihood(noises, here.lines, _left_by(here, fitted))
-
-
 def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
     """(B,) by how much what a model leaves in each block of time is likelier than what another leaves, see `unlikely_from`.
 
@@ -319,13 +304,9 @@ def _no_more_than(noise: Noise, other: Noise) -> Noise:
 
 
 def _noise(line: Line) -> Noise:
-    return _found(line.run)
-
-
-def _found(run: Run) -> Noise:
-    if run.noise is None:
-        raise ModelError(f"{run.name}: no noise was found in it")
-    return run.noise
+    if line.run.noise is None:
+        raise ModelError(f"{line.run.name}: no noise was found in it")
+    return line.run.noise
 
 
 def _constants(lines: Sequence[Line]) -> dict[str, str]:

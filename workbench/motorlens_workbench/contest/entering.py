@@ -7,7 +7,7 @@ Where no name does though something is missing, or where the model with one stil
 from the beginning with each name of the equation: what is missing bends a fit, and from where that ends no name may help.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,14 +26,7 @@ from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.hypotheses.sensors import SensorShape
 from motorlens_workbench.refit import ahead, anew, at_first, begun, nearly, promise, settled, with_hypothesis
-from motorlens_workbench.standing import (
-    Standing,
-    likelier_by_block,
-    stand,
-    under,
-    unlikely_as_lasting,
-    unlikely_from,
-)
+from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
 # Hypotheses that are fitted in full at each step.
@@ -171,10 +164,13 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     if end is None or -log_chance(max(_won_by_either(here, end), 0.0), 1) < needed_weight(here, ()):
         return refused
     try:
-        step = _as_seen_there(here, one, settled(end), own)
+        # As the likelier of both sees it: to a motor with another timing the noise of the inputs is not what it is.
+        there = stand(settled(end), own)
+        told = worth(here, one, there.fitted, there)
     except ModelError:
         return refused
-    return step if step.judged else refused
+    judged, entered = {one.name: told.times}, told.accepted(one.entry.hypothesis)
+    return Step(there if entered else None, entered, judged=judged, unlikely=told.unlikely)
 
 
 def _won_by_either(here: Standing, fitted: Fitted) -> float:
@@ -297,25 +293,11 @@ def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effec
     again = from_the_beginning(here, step.standing.fitted)
     if again is None:
         return step
-    other = _as_seen_there(here, one, again, own)
+    other = _judged(here, one, again, own)
     both = step.then(other)
     if other.standing is None:
         return both
     return replace(both, standing=other.standing, accepted=other.accepted, unlikely=other.unlikely)
-
-
-def _as_seen_there(here: Standing, one: Score, end: Fitted, own: Sequence[type[Effect]]) -> Step:
-    """What a hypothesis is worth in a model that has it, likelihoods compared as that one sees them.
-
-    To a motor with another timing the noise of the inputs is not what it is, nor to any other an unmeasured torque.
-    """
-    try:
-        there = stand(end, own)
-        told = worth(here, one, end, there)
-    except ModelError:
-        return Step(refused=(one.name,))
-    entered = told.accepted(one.entry.hypothesis)
-    return Step(there if entered else None, entered, judged={one.name: told.times}, unlikely=told.unlikely)
 
 
 def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = None) -> Fitted | None:
@@ -324,12 +306,12 @@ def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = N
     It begins with its effects as the refit has them and, given what a look says of the last, with that at its typical size.
 
     What was missing may have passed for a delay, or for inputs that ran otherwise between their samples; or it has bent the
-    parameters to where another motor, unlike its file, does nearly as well; or for a torque that nobody measured, which then
-    lasts otherwise. Which is likelier is asked of both as they are known from the recordings and beforehand.
+    parameters to where another motor, unlike its file, does nearly as well. Which is likelier is asked of both as they are
+    known from the recordings and beforehand.
     """
     begins = [fitted] if typical is None else [fitted, begun(here.fitted, typical)]
     ends = [end for end in map(anew, begins) if end is not None]
-    best = min([fitted, *ends], key=lambda end: _or_infinite(unlikely_as_lasting, here, end) + end.pulled)
+    best = min([fitted, *ends], key=lambda end: unlikely_as_known(here, end))
     return None if best is fitted else best
 
 
@@ -340,12 +322,8 @@ def unlikely_as_known(here: Standing, fitted: Fitted) -> float:
 
 def _unlikely(here: Standing, fitted: Fitted) -> float:
     """See `unlikely_from`; infinite where the model cannot be simulated."""
-    return _or_infinite(unlikely_from, here, fitted)
-
-
-def _or_infinite(how: Callable[[Standing, Fitted], float], here: Standing, fitted: Fitted) -> float:
     try:
-        return how(here, fitted)
+        return unlikely_from(here, fitted)
     except ModelError:
         return float("inf")
 
