@@ -20,7 +20,7 @@ from motorlens_physics.sensitivity import Linearisation
 Array = NDArray[np.float64]
 
 # A torque may be over in so few samples only where the motor follows in as few: elsewhere it would pass for whatever is
-# missing. Within a sample only where no load was measured.
+# missing.
 SHORT, WITHIN_A_SAMPLE = 3.0, 1.0
 # Over how many samples coloured noise is correlated: the shortest, the usual, and the longest that is looked at. What lasts
 # longer than usual beyond chance is no noise: the errors of a model that lacks something mostly do.
