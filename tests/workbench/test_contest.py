@@ -25,7 +25,7 @@ from motorlens_workbench.contest.worth import consistent, held_score, told_apart
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.null import Null
 from motorlens_workbench.hypotheses.line import Line
-from motorlens_workbench.standing import unlikelihood, unlikely_from
+from motorlens_workbench.standing import Residual, unlikely_from
 
 # A load that is not there, measured with noise: how large the sensor's gain is, nothing can tell.
 IDLE_NOISE_NM = 0.4
@@ -137,8 +137,7 @@ def test_a_motor_that_responds_less_is_no_likelier_for_having_less_of_the_noise_
         return [Line.of(fitted.model, run, r, fitted.prior.keys) for r, run in enumerate(fitted.runs)]
 
     def itself(fitted):
-        noises = [run.noise for run in fitted.runs]
-        return unlikelihood(noises, lines(fitted), [line.error for line in lines(fitted)])
+        return Residual.of(lines(fitted), [line.error for line in lines(fitted)]).unlikely
 
     here = SimpleNamespace(lines=lines(base))
     assert unlikely_from(here, base) == pytest.approx(itself(base), rel=1e-9)  # type: ignore[arg-type]

@@ -112,9 +112,11 @@ def test_a_rival_stands_if_both_models_say_so_as_far_as_blocks_of_time_agree(
 
     monkeypatch.setattr(exchange, "rivals_of", rivals_of)
     monkeypatch.setattr(exchange, "_in_its_place", in_its_place)
-    monkeypatch.setattr(exchange, "likelier_by_block", lambda here, fitted, other: won)
+    monkeypatch.setattr(exchange, "_in_the_place_of", lambda there, new, one: rivals_of(there, new))
+    left = SimpleNamespace(likelier_by_block=lambda other: won)
+    monkeypatch.setattr(exchange, "residual_of", lambda here, fitted: left)
     monkeypatch.setattr(exchange, "log_shape", lambda one, fitted: shape if one.name == "rival" else 0.0)
-    here = SimpleNamespace(fitted="name")
+    here = SimpleNamespace(fitted="name", residual=None)
     _, (one,) = exchanged(here, [accepted("name")], (), lambda text: None)  # type: ignore[arg-type]
     assert one.hypothesis.name == stands
     assert one.instead == pytest.approx(instead, rel=0.02)

@@ -8,7 +8,7 @@ from helpers.textbook import textbook_on, with_name
 
 from motorlens_workbench.contest.contest import too_large
 from motorlens_workbench.contest.worth import agreement, held_score, worth
-from motorlens_workbench.standing import Standing, stand, summed, unlikely_from
+from motorlens_workbench.standing import Standing, residual_of, stand, summed, unlikely_from
 
 MAGNET = {
     "name": "magnet_temperature",
@@ -31,14 +31,15 @@ def test_where_walds_test_says_too_little_the_score_test_says_what_the_likelihoo
     rise = bare.unlikely - unlikely_from(bare, end)
     held = held_score(*summed(end), end, score.entry.hypothesis)
     assert held is not None and held.gain / held.scatter < 0.6 * rise
-    agreed = agreement(bare, end, bare.fitted, score.entry.hypothesis, rise)
+    won = residual_of(bare, end).likelier_by_block(bare.residual)
+    agreed = agreement(won, bare.fitted, score.entry.hypothesis, rise)
     assert 0.75 * rise < agreed <= rise
     told = worth(bare, score, end)
     assert told.agreed == pytest.approx(agreed, rel=0.02)
     assert told.score is not None and told.score.gain / told.score.scatter == pytest.approx(agreed, rel=0.02)
     # It counts for no more than the likelihood rises.
-    assert agreement(bare, end, bare.fitted, score.entry.hypothesis, 5.0) <= 5.0
-    assert agreement(bare, end, bare.fitted, score.entry.hypothesis, -5.0) == 0.0
+    assert agreement(won, bare.fitted, score.entry.hypothesis, 5.0) <= 5.0
+    assert agreement(won, bare.fitted, score.entry.hypothesis, -5.0) == 0.0
 
 
 @pytest.mark.fit
@@ -67,6 +68,7 @@ def test_what_is_not_missing_is_agreed_on_by_no_test(bare: Standing, name: str) 
     _, magnet = with_name(bare, "magnet_temperature")
     here = stand(magnet)
     score, end = with_name(here, name)
-    rise = here.unlikely - unlikely_from(here, end)
+    left = residual_of(here, end)
+    rise = here.unlikely - left.unlikely
     # A chi-squared variable of one degree of freedom exceeds 10.8 once in a thousand.
-    assert agreement(here, end, magnet, score.entry.hypothesis, rise) < 10.8
+    assert agreement(left.likelier_by_block(here.residual), magnet, score.entry.hypothesis, rise) < 10.8

@@ -18,7 +18,7 @@ from motorlens_physics.estimate.weighed import moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.held_out import pooled_floor, times_noise
-from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers
+from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, layout, ledger, ledgers
 from motorlens_workbench.evidence.look import Look, looks
 from motorlens_workbench.evidence.null import Null, null_of
 from motorlens_workbench.evidence.score import Score
@@ -67,12 +67,16 @@ class Standing:
         return tuple(_noise(line) for line in self.lines)
 
     @cached_property
-    def looks(self) -> tuple[Look, Look]:
-        """Under the noise of the model, and with none of an unmeasured torque, of coloured noise and of colour."""
-        listed, constants = everything(self.lines, self.own), _constants(self.lines)
+    def lenses(self) -> tuple[Lens, Lens]:
+        """The noise of the model, and none of an unmeasured torque, of coloured noise and of colour."""
         quiet = tuple(of_instruments(line) for line in self.lines)
-        lenses = Lens(self.noises), Lens(quiet, plain=True)
-        here, bare = looks(self.lines, lenses, self.fitted.prior, listed, constants)
+        return Lens(self.noises), Lens(quiet, plain=True)
+
+    @cached_property
+    def looks(self) -> tuple[Look, Look]:
+        """Through each lens, at all that may be missing."""
+        listed, constants = everything(self.lines, self.own), _constants(self.lines)
+        here, bare = looks(self.lines, self.lenses, self.fitted.prior, listed, constants)
         return here, bare
 
     @property
@@ -101,11 +105,17 @@ class Standing:
         return null_of([score for score in self.scores if score.possible], np.random.default_rng(SEED))
 
     @cached_property
+    def residual(self) -> "Residual":
+        """What the model leaves."""
+        return Residual.of(self.lines, [line.error for line in self.lines])
+
+    @cached_property
     def unlikely(self) -> float:
         """Twice the negative logarithmic likelihood of what the model leaves, as noise of its own."""
         # The parameters alone may do better than where the fit has ended.
-        nothing = ([line.error for line in self.lines], *(look.rests(None) for look in self.looks))
-        return min(unlikelihood(self.noises, self.lines, rests) for rests in nothing)
+        alone = looks(self.lines, self.lenses, self.fitted.prior, (), {})
+        able = (self.residual, *(Residual.of(self.lines, look.rests(None)) for look in alone))
+        return min(residual.unlikely for residual in able)
 
     @cached_property
     def floor(self) -> dict[str, float]:
@@ -182,8 +192,38 @@ def summed(fitted: Fitted, hypotheses: Sequence[Hypothesis] = ()) -> tuple[Ledge
     return coloured, white
 
 
-def unlikely_from(here: Standing, fitted: Fitted) -> float:
-    """How unlikely what another model leaves is, as `Standing.unlikely`.
+@dataclass(frozen=True)
+class Residual:
+    """What a model leaves, as noise of its own.
+
+    Attributes:
+        unlikely_samples: (N,) of each run, twice the negative logarithmic likelihood of each sample.
+        blocks: of time, as of a ledger.
+    """
+
+    unlikely_samples: tuple[Array, ...]
+    blocks: tuple[tuple[int, slice], ...]
+
+    @classmethod
+    def of(cls, lines: Sequence[Line], rests: Iterable[Array]) -> "Residual":
+        """Of what is left (N, C) of each run."""
+        each = zip(lines, rests, strict=True)
+        samples = (_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in each)
+        return cls(tuple(samples), layout(lines))
+
+    @property
+    def unlikely(self) -> float:
+        """Of all samples together."""
+        return sum(float(np.sum(samples)) for samples in self.unlikely_samples)
+
+    def likelier_by_block(self, other: "Residual") -> Array:
+        """(B,) by how much it is likelier than what another model leaves, in each block of time."""
+        one, two = self.unlikely_samples, other.unlikely_samples
+        return np.array([float(np.sum(two[r][rows] - one[r][rows])) for r, rows in self.blocks])
+
+
+def residual_of(here: Standing, fitted: Fitted) -> Residual:
+    """What another model leaves.
 
     The noise of the inputs goes through the motor that stands, not through the other: or a motor that responds less would
     have less of it, and be preferred.
@@ -191,25 +231,16 @@ def unlikely_from(here: Standing, fitted: Fitted) -> float:
     Raises:
         ModelError: the model cannot be simulated.
     """
-    return unlikelihood([_noise(line) for line in here.lines], here.lines, _left_by(here, fitted))
+    return Residual.of(here.lines, _left_by(here, fitted))
 
 
-def likelier_by_block(here: Standing, fitted: Fitted, other: Fitted) -> Array:
-    """(B,) by how much what a model leaves in each block of time is likelier than what another leaves, see `unlikely_from`.
-
-    Twice the logarithm.
+def unlikely_from(here: Standing, fitted: Fitted) -> float:
+    """How unlikely what another model leaves is, as `Standing.unlikely`, see `residual_of`.
 
     Raises:
-        ModelError: a model cannot be simulated.
+        ModelError: the model cannot be simulated.
     """
-    one, two = (_unlikely_samples(here, model) for model in (fitted, other))
-    return np.array([float(np.sum(two[r][rows] - one[r][rows])) for r, rows in here.book.blocks])
-
-
-def _unlikely_samples(here: Standing, fitted: Fitted) -> list[Array]:
-    """(N,) of each run: how unlikely each sample is."""
-    left = zip(here.lines, _left_by(here, fitted), strict=True)
-    return [_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in left]
+    return residual_of(here, fitted).unlikely
 
 
 def _likeliest(noise: Noise, line: Line, rest: Array) -> Noise:
@@ -286,14 +317,6 @@ def _challenger(
         # is told when it is fitted in full: far from null the linearised problem leaves more than the name does.
         own = own.winning(won)
     return Challenger(own, tuple(likely), book.colour, won)
-
-
-def unlikelihood(noises: Sequence[Noise], lines: Sequence[Line], rests: Sequence[Array]) -> float:
-    """Twice the negative logarithmic likelihood of what is left (N, C) of each run, as noise."""
-    return sum(
-        float(np.sum(_unlikely(line, _likeliest(noise, line, rest), rest)))
-        for noise, line, rest in zip(noises, lines, rests, strict=True)
-    )
 
 
 def _no_more_than(noise: Noise, other: Noise) -> Noise:

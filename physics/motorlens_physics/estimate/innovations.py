@@ -256,7 +256,7 @@ def _with_a_silent_one(space: StateSpace) -> StateSpace:
         space,
         balances=np.append(space.balances, -1),
         holds=np.append(space.holds, False),
-        keeps=np.pad(space.keeps, ((0, 0), (0, 1))),
+        keeps=np.hstack([space.keeps, np.zeros((len(space.keeps), 1))]),
         variance=np.append(space.variance, 0.0),
     )
 

@@ -34,7 +34,7 @@ from motorlens_workbench.contest.worth import agreement, held_score
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.refit import settled, without_hypothesis
-from motorlens_workbench.standing import Standing, stand, unlikely_from
+from motorlens_workbench.standing import Standing, residual_of, stand, unlikely_from
 from motorlens_workbench.telling import Progress
 
 # Effects that are looked for at most.
@@ -161,8 +161,9 @@ def _needed(
         if fitted is None:
             continue
         without = settled(fitted)
-        rise = unlikely_from(here, without) - unlikely_from(here, here.fitted)
-        agreed = agreement(here, here.fitted, without, one.hypothesis, rise)
+        left = residual_of(here, without)
+        rise = left.unlikely - here.residual.unlikely
+        agreed = agreement(here.residual.likelier_by_block(left), without, one.hypothesis, rise)
         if score.or_at_least(agreed).weight < needed_weight(here, others):
             say(f"without {one.hypothesis.name.replace('_', ' ')}")
             return stand(without, own), others

@@ -26,7 +26,7 @@ from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.hypotheses.sensors import SensorShape
 from motorlens_workbench.refit import ahead, anew, at_first, begun, nearly, promise, settled, with_hypothesis
-from motorlens_workbench.standing import Standing, likelier_by_block, stand, under, unlikely_from
+from motorlens_workbench.standing import Residual, Standing, residual_of, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
 # Hypotheses that are fitted in full at each step.
@@ -265,12 +265,13 @@ def enter_anew(
         return None if reached is None else anew(about(one), reached)
 
     fits = zip(nearest, on_all_cores(to_the_end, nearest), strict=True)
-    weighed = [(_unlikely(here, fitted), one, fitted) for one, fitted in fits if fitted is not None]
-    made = [(one, fitted) for unlikely, one, fitted in weighed if np.isfinite(unlikely)]
+    leaves = [(_residual(here, fitted), one, fitted) for one, fitted in fits if fitted is not None]
+    weighed = [(residual, one, fitted) for residual, one, fitted in leaves if residual is not None]
+    made = [(one, fitted) for _, one, fitted in weighed]
     if not made:
         return nothing
-    best = min(weighed, key=lambda known: known[0])[2]
-    less = {one.name: consistent(likelier_by_block(here, best, fitted), np.inf) for one, fitted in made}
+    best = min((residual for residual, _, _ in weighed), key=lambda residual: residual.unlikely)
+    less = {one.name: consistent(best.likelier_by_block(residual), np.inf) for residual, one, _ in weighed}
     likely = {
         one.name: log_occam_of(one.entry.hypothesis, fitted) - 0.5 * less[one.name] / CRITERIA.tempered
         for one, fitted in made
@@ -317,15 +318,16 @@ def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = N
 
 def unlikely_as_known(here: Standing, fitted: Fitted) -> float:
     """Of a model, by what it leaves and by what is known of it beforehand; infinite where it cannot be simulated."""
-    return _unlikely(here, fitted) + fitted.pulled
+    residual = _residual(here, fitted)
+    return residual.unlikely + fitted.pulled if residual else float("inf")
 
 
-def _unlikely(here: Standing, fitted: Fitted) -> float:
-    """See `unlikely_from`; infinite where the model cannot be simulated."""
+def _residual(here: Standing, fitted: Fitted) -> Residual | None:
+    """See `residual_of`; None where the model cannot be simulated."""
     try:
-        return unlikely_from(here, fitted)
+        return residual_of(here, fitted)
     except ModelError:
-        return float("inf")
+        return None
 
 
 def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect]]) -> Step:

@@ -13,14 +13,14 @@ import numpy as np
 from motorlens_physics.effect import Effect
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import log_shape
-from motorlens_workbench.contest.rivals import Rivals, rivals_of
+from motorlens_workbench.contest.rivals import Rivals, rivals_in, rivals_of
 from motorlens_workbench.contest.worth import told_apart, worth
 from motorlens_workbench.evidence.ledger import Lens, ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, with_hypothesis, without_hypothesis
-from motorlens_workbench.standing import Standing, likelier_by_block, stand
+from motorlens_workbench.standing import Standing, residual_of, stand
 from motorlens_workbench.telling import Progress
 
 # Rivals that are fitted in the place of one name, at most.
@@ -66,8 +66,8 @@ def _likelier(
         there, new = _in_its_place(here, one, other, own)
     except ModelError:
         return here, replace(accepted, instead={**accepted.instead, name: -np.inf})
-    likelier = 0.5 * (_odds(rivals, other, one) + _odds(rivals_of(there, new), other, one))
-    won = likelier_by_block(here, there.fitted, here.fitted)
+    likelier = 0.5 * (_odds(rivals, other, one) + _odds(_in_the_place_of(there, new, one), other, one))
+    won = residual_of(here, there.fitted).likelier_by_block(here.residual)
     agreed = told_apart(won if likelier > 0 else -won)
     # What recordings tell is worth no more than they agree on; how far either shape is from what it may be is known besides.
     likelier = float(np.clip(likelier, -agreed, agreed))
@@ -89,6 +89,11 @@ def _odds(rivals: Rivals, other: Hypothesis, one: Hypothesis) -> float:
     return float(likelier - less)
 
 
+def _in_the_place_of(there: Standing, new: Accepted, one: Hypothesis) -> Rivals:
+    """The rivals of a name that has entered as if there were but one other: all that could stand there need not be seen."""
+    return rivals_in(ledger(there.lines, Lens(there.noises), there.fitted.prior, [one]), there.fitted, new)
+
+
 def _in_its_place(
     here: Standing, one: Hypothesis, other: Hypothesis, own: Sequence[type[Effect]]
 ) -> tuple[Standing, Accepted]:
@@ -105,7 +110,7 @@ def _in_its_place(
     if score is None:
         raise ModelError(f"{other.name} explains nothing there")
     end = settled(_fitted(with_hypothesis(lacking, beside, score), other))
-    accepted = worth(base, score, end).accepted(other)
+    accepted = worth(base, score, end, known=here).accepted(other)
     if accepted is None:
         raise ModelError(f"{other.name} is not beyond chance in the model that has it")
     return stand(end, own), accepted

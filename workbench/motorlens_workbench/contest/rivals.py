@@ -9,9 +9,10 @@ from scipy.special import logsumexp
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.ledger import Ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score
-from motorlens_workbench.fitted import Accepted
+from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.standing import Standing
 
 
@@ -44,13 +45,18 @@ class Rivals:
 
 def rivals_of(here: Standing, accepted: Accepted) -> Rivals:
     """What could stand in the place of an accepted hypothesis, as seen from the model that lacks nothing else."""
+    return rivals_in(here.book, here.fitted, accepted)
+
+
+def rivals_in(book: Ledger, fitted: Fitted, accepted: Accepted) -> Rivals:
+    """The same, of the hypotheses in a ledger about a fitted model."""
     name, key = accepted.hypothesis.name, accepted.hypothesis.key
-    file, prior = here.fitted.model.file, here.fitted.prior
+    file, prior = fitted.model.file, fitted.prior
     null = file.meaning(key).null or 0.0
-    size = (here.fitted.model.values()[key] - null) / prior.sd[key]
-    others = [other for other in here.book.keys if not other.startswith(f"{name}.")]
-    scores = best_of(here.book.scores(others, {key: size}))
-    itself = own_score(here.book, here.fitted, accepted.hypothesis)
+    size = (fitted.model.values()[key] - null) / prior.sd[key]
+    others = [other for other in book.keys if not other.startswith(f"{name}.")]
+    scores = best_of(book.scores(others, {key: size}))
+    itself = own_score(book, fitted, accepted.hypothesis)
     if itself is None:
         return Rivals(name, {name: 1.0}, scores)
     # What the model leaves out lets rivals differ by a share of what the accepted one explains.

@@ -18,7 +18,7 @@ from motorlens_workbench.evidence.score import Entry, Score, log_chance
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, without_hypothesis
-from motorlens_workbench.standing import Standing, likelier_by_block, summed, unlikely_from
+from motorlens_workbench.standing import Standing, residual_of, summed
 
 Array = NDArray[np.float64]
 
@@ -78,20 +78,19 @@ def _weaker(scores: Sequence[Score | None]) -> Score | None:
     return min(told, key=lambda score: score.weight) if len(told) == len(scores) else None
 
 
-def agreement(here: Standing, end: Fitted, lacking: Fitted, hypothesis: Hypothesis, rise: float) -> float:
+def agreement(won: Array, lacking: Fitted, hypothesis: Hypothesis, rise: float) -> float:
     """Squared ratio of what a name explains to how that scatters between blocks of time, without Wald's linearisation.
 
     Args:
-        here: where the contest stands.
-        end: the model with the name.
+        won: (B,) by a model with the name over one without it, see `Residual.likelier_by_block`.
         lacking: the model without it.
         hypothesis: the name.
         rise: twice the rise of the logarithmic likelihood from the one to the other.
 
     Raises:
-        ModelError: a model cannot be simulated.
+        ModelError: the model cannot be simulated.
     """
-    by_block = consistent(likelier_by_block(here, end, lacking), rise)
+    by_block = consistent(won, rise)
     seen = lacking_score(lacking, hypothesis)
     return by_block if seen is None else max(by_block, min(seen.gain, max(rise, 0.0)) / seen.scatter)
 
@@ -157,7 +156,9 @@ class Worth:
         return Accepted(hypothesis, score.gain / score.scatter, score.scatter, score.weight, self.agreed)
 
 
-def worth(here: Standing, one: Score, end: Fitted, frame: Standing | None = None) -> Worth:
+def worth(
+    here: Standing, one: Score, end: Fitted, frame: Standing | None = None, known: Standing | None = None
+) -> Worth:
     """What a name wins in a model that has it over one that has not.
 
     Args:
@@ -165,15 +166,18 @@ def worth(here: Standing, one: Score, end: Fitted, frame: Standing | None = None
         one: what a look says of the name.
         end: the model with it.
         frame: where likelihoods are compared, see `unlikely_from`; None is `here`.
+        known: where what chance does is told, see `needed_weight`: a model that lacks less; None is `here`.
 
     Raises:
         ModelError: the model cannot be simulated without it.
     """
     book, plain = summed(end)
     score = held_score(book, plain, end, one.entry.hypothesis)
-    needed = needed_weight(here, (), book.colour)
-    unlikely = unlikely_from(frame or here, end)
-    stood = here.unlikely if frame is None else unlikely_from(frame, here.fitted)
+    needed = needed_weight(known or here, (), book.colour)
+    with_it = residual_of(frame or here, end)
+    without = here.residual if frame is None else residual_of(frame, here.fitted)
+    unlikely = with_it.unlikely
+    stood = here.unlikely if frame is None else without.unlikely
     most = stood - unlikely
     allowed = end.allows(one.entry.hypothesis)
     if score is None or -log_chance(max(most, 0.0), 1) < needed:
@@ -181,10 +185,16 @@ def worth(here: Standing, one: Score, end: Fitted, frame: Standing | None = None
     # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is not
     # the name's.
     refitted = without_hypothesis(end, one.name)
-    able = (here.fitted,) if refitted is None else (here.fitted, settled(refitted))
-    left, lacking = min(((unlikely_from(frame or here, one), one) for one in able), key=lambda pair: pair[0])
+    lacking = here.fitted
+    if refitted is not None:
+        other = settled(refitted)
+        rest = residual_of(frame or here, other)
+        if rest.unlikely < without.unlikely:
+            lacking, without = other, rest
+    left = without.unlikely
     rise = min(most, left - unlikely)
-    held, agreed = score.winning(rise), agreement(frame or here, end, lacking, one.entry.hypothesis, rise)
+    held = score.winning(rise)
+    agreed = agreement(with_it.likelier_by_block(without), lacking, one.entry.hypothesis, rise)
     more = agreed > held.gain / held.scatter
     told = held.or_at_least(agreed)
     return Worth(told, needed, lacking, unlikely, allowed, stood - left, agreed if more else 0.0)
