@@ -99,6 +99,9 @@ class Accepted:
         beside: other names with which the motor was estimated as well, and the logarithm of how much less likely each is, as
             far as blocks of time agree on that.
         instead: names that were fitted in its place in the end, and the logarithm of how much likelier each is.
+        made_up_for: parameters that are far from the motor file without it, where nothing else speaks for it, and a sentence
+            on each.
+        than_file: the logarithm of how much likelier it is than that the motor file is wrong about these.
     """
 
     hypothesis: Hypothesis
@@ -108,3 +111,5 @@ class Accepted:
     agreed: float = 0.0
     beside: Mapping[str, float] = field(default_factory=dict)
     instead: Mapping[str, float] = field(default_factory=dict)
+    made_up_for: Mapping[str, str] = field(default_factory=dict)
+    than_file: float = float("inf")

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import expit
 
 from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
@@ -36,7 +37,9 @@ class Verdict:
         equation: which balance fails; None where none does.
         probability: of every hypothesis, that it is what is missing.
         shape: the term without a name that remains; None if none does.
-        contradicted: parameters that are far from the motor file, where nothing else is missing: one of the two is wrong.
+        contradicted: parameters that are far from the motor file, where nothing else is missing: one of the two is wrong; or
+            without the names `instead`, which they make up for.
+        instead: of the chosen ones, those for which nothing speaks but that.
         untold: what the recordings cannot tell, sentences.
     """
 
@@ -47,6 +50,7 @@ class Verdict:
     probability: Mapping[str, float]
     shape: Score | None
     contradicted: tuple[str, ...]
+    instead: tuple[str, ...]
     untold: tuple[str, ...]
 
 
@@ -59,19 +63,29 @@ def settle(found: Finding) -> Verdict:
         if _holds(found, one)
     ]
     groups = _groups([rivals for _, rivals in held], _names(found))
+    instead = [one for one, _ in held if one.made_up_for]
+    by_themselves = [
+        (one, group) for (one, _), group in zip(held, groups, strict=True) if not one.made_up_for
+    ]
+    kind, equation = _kind(found, by_themselves)
     probability = dict.fromkeys(_names(found), 0.0)
-    for _, rivals in held:
+    for one, rivals in held:
+        # Or the motor file is wrong.
+        likelier = float(expit(one.than_file))
         for name, share in rivals.probability.items():
             if name in probability:
-                probability[name] = max(probability[name], share)
+                probability[name] = max(probability[name], likelier * share)
     dead = tuple(dict.fromkeys(one.name for one in found.dead))
     probability |= dict.fromkeys(dead, 1.0)
     chosen = (*dead, *(one.hypothesis.name for one, _ in held if one.hypothesis.name not in dead))
     groups = [*((name,) for name in dead), *(group for group in groups if group[0] not in dead)]
     last = outcome.last
-    kind, equation = _kind(found, held, groups)
     shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
-    contradicted = tuple(findings(_as_fit(found)).far) if kind == "adequate" else ()
+    contradicted: tuple[str, ...] = ()
+    if kind != "unknown" and not dead:
+        contradicted = tuple(dict.fromkeys(key for one in outcome.accepted for key in one.made_up_for))
+    if kind == "adequate" and not contradicted:
+        contradicted = tuple(findings(_as_fit(found)).far)
     if contradicted:
         # What is missing may be just what a parameter makes up for: then nothing shows but where that has gone.
         kind, equation = "unknown", _equation_of(found, contradicted[0])
@@ -83,6 +97,7 @@ def settle(found: Finding) -> Verdict:
         probability,
         shape,
         contradicted,
+        tuple(one.hypothesis.name for one in instead),
         tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
     )
 
@@ -101,7 +116,8 @@ def _groups(rivals: Sequence[Rivals], names: Collection[str]) -> list[tuple[str,
     ]
 
 
-def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  # type: ignore[type-arg]
+def _kind(found: Finding, held: Sequence[tuple[Accepted, tuple[str, ...]]]) -> tuple[str, str | None]:
+    """The kind of an answer and where something is missing, of the names that hold by themselves and their groups."""
     unnamed, last = found.outcome.unnamed, found.outcome.last
     if found.dead:
         return "sensor_fault", found.dead[0].channel
@@ -118,7 +134,7 @@ def _kind(found: Finding, held: list, groups: list) -> tuple[str, str | None]:  
     if last.rest is not None and not leaves_noise(last) and last.book.colour > _won([one for one, _ in held]):
         # The names are no more than a part of what is missing.
         return "unknown", last.rest.entry.hypothesis.equation
-    if any(len(group) > 1 for group in groups):
+    if any(len(group) > 1 for _, group in held):
         kind = "group"
     elif all(one.hypothesis.kind == "sensor" for one, _ in held):
         kind = "sensor_fault"
@@ -303,6 +319,9 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
             f"What the model leaves is correlated as no noise of the sensors is: {why} that is not named here."
         )
     said += [_only_together(one, names) for one in held if (names := told_together(found, one))]
+    said += [
+        f"Without {one.hypothesis.name}, {sentence}." for one in held for sentence in one.made_up_for.values()
+    ]
     said += [_refused(found, name) for name in refused]
     return [*said, *findings(_as_fit(found)).in_short]
 

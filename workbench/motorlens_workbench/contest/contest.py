@@ -20,6 +20,7 @@ from motorlens_workbench.contest.entering import (
     heaviest,
 )
 from motorlens_workbench.contest.exchange import exchanged
+from motorlens_workbench.contest.far_from_file import enter_for_file
 from motorlens_workbench.contest.needed import (
     beyond_chance,
     follows,
@@ -115,8 +116,11 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
             break
     if not accepted and not follows(here):
         here, accepted = enter_two(here, attempts, own, say) or (here, accepted)
-    if _remains(here, accepted, refused) and nameless is not None and _imitate(nameless[0], here):
-        here, accepted = nameless
+    if _remains(here, accepted, refused):
+        if nameless is not None and _imitate(nameless[0], here):
+            here, accepted = nameless
+    elif follows(here) if accepted else leaves_noise(here):
+        here, accepted = _for_file(here, accepted, say)
     here, accepted = exchanged(here, accepted, own, say)
     # It is told beside what stands in the end.
     remains = _remains(here, accepted, refused)
@@ -135,6 +139,16 @@ def too_large(here: Standing, judged: Mapping[str, float], attempts: Mapping[str
     known = {score.name: score.entry.hypothesis for score in here.scores}
     beyond = [name for name in attempts if judged[name] >= 1.0 and name in known]
     return [name for name in beyond if not attempts[name][1].allows(known[name])]
+
+
+def _for_file(here: Standing, accepted: list[Accepted], say: Progress) -> tuple[Standing, list[Accepted]]:
+    """With what parameters may make up for that are far from the motor file, where nothing else shows."""
+    while len(accepted) < EFFECTS:
+        step = enter_for_file(here, say)
+        if step.standing is None or step.accepted is None:
+            break
+        here, accepted = step.standing, [*accepted, step.accepted]
+    return here, accepted
 
 
 def _remains(here: Standing, accepted: Sequence[Accepted], refused: Sequence[str]) -> bool:

@@ -57,6 +57,7 @@ class Ledger:
         entries: one per shape.
         blocks: which run and which of its samples each block is.
         colour: what is left of colour in what was taken for noise, see `colour.gain_of`; 0 if it was not looked at.
+        trusted: parameters of which the motor file is taken at its word, however far they are from it.
     """
 
     keys: tuple[str, ...]
@@ -66,11 +67,13 @@ class Ledger:
     entries: tuple[Entry, ...]
     blocks: tuple[tuple[int, slice], ...]
     colour: float = 0.0
+    trusted: frozenset[str] = frozenset()
 
     @property
     def belief(self) -> Array:
         """(p,) weight of each prior, that of Student's t at where the parameter is: a file may simply be wrong."""
-        return np.minimum((FREEDOM + 1) / (FREEDOM + self.pull**2), 1.0)
+        taken = np.array([key in self.trusted for key in self.keys], dtype=np.bool_)
+        return np.where(taken, 1.0, np.minimum((FREEDOM + 1) / (FREEDOM + self.pull**2), 1.0))
 
     def entry_of(self, key: str, hypothesis: Hypothesis, shape: Shape) -> Entry:
         """A fitted parameter as a shape of its own."""

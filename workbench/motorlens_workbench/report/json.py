@@ -77,6 +77,11 @@ def to_json(
             "why": experiment.why, "with_sensor": experiment.with_sensor, "bare": experiment.bare,
             "check": list(experiment.check),
         }  # fmt: skip
+    if verdict.contradicted:
+        document["contradicts_file"] = {
+            "parameters": list(verdict.contradicted),
+            "or_missing": list(verdict.instead),
+        }
     if verdict.shape is not None:
         shape: Any = verdict.shape.entry.shape
         x, y, sd = shape.values(verdict.shape.coefficient, verdict.shape.covariance)
@@ -181,12 +186,7 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     if verdict.kind == "group":
         return f"Missing: {'; and '.join(offered)}. These recordings cannot tell more."
     if verdict.contradicted:
-        far = " and ".join(verdict.contradicted)
-        verb, makes = ("is", "it makes") if len(verdict.contradicted) == 1 else ("are", "they make")
-        return (
-            f"Either {far} {verb} not what the motor file says, or something is missing that {makes} up for; nothing else "
-            "shows above the sizes listed."
-        )
+        return _or_the_file(verdict, dict(zip(verdict.chosen, offered, strict=True)))
     if verdict.kind == "unknown":
         assert verdict.shape is not None
         rest = f"{_shape(verdict.shape)}"
@@ -199,6 +199,17 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     if verdict.kind == "not_testable":
         return "These recordings cannot show whether anything is missing; why is among what they cannot tell."
     return "Nothing is missing above the sizes listed: larger effects would have been seen."
+
+
+def _or_the_file(verdict: Verdict, offered: Mapping[str, str]) -> str:
+    """Where a parameter is far from the motor file, and nothing else shows beside names that hold by themselves."""
+    sure = [text for name, text in offered.items() if name not in verdict.instead]
+    missing = [text for name, text in offered.items() if name in verdict.instead]
+    verb, makes = ("is", "it makes") if len(verdict.contradicted) == 1 else ("are", "they make")
+    either = f"ither {' and '.join(verdict.contradicted)} {verb} not what the motor file says, or "
+    which = f"{' and '.join(missing)} is missing, which" if missing else "something is missing that"
+    begin = f"Missing: {'; and '.join(sure)}; and e" if sure else "E"
+    return f"{begin}{either}{which} {makes} up for; nothing else shows above the sizes listed."
 
 
 def _words(name: str) -> str:
@@ -295,10 +306,12 @@ def next_command(document: Mapping[str, Any]) -> str:
         document["motor"],
         *document["options"],
     ]
+    # No error falls by what a parameter had made up for.
+    force = ["--force"] if document.get("contradicts_file", {}).get("or_missing") else []
     # Of better.toml comes better2.toml: the old file is kept.
     before = re.fullmatch(r"better(\d*)\.toml", Path(document["motor"]).name)
     better = f"better{int(before[1] or 1) + 1}.toml" if before else "better.toml"
-    return shlex.join([*words, "--fit", *document["recordings"], "-o", better])
+    return shlex.join([*words, *force, "--fit", *document["recordings"], "-o", better])
 
 
 def size_text(entry: Mapping[str, Any]) -> str:
