@@ -143,7 +143,8 @@ def test_of_two_fits_of_a_model_that_stands_which_is_likelier_with_all_that_is_k
     assert after.pulled - before.pulled == pytest.approx((start + away) ** 2 - start**2)
     score = here.scores[0]
     monkeypatch.setattr(entering, "anew", lambda fitted: after)
-    monkeypatch.setattr(entering, "_unlikely", lambda here, fitted: -likelier if fitted is after else 0.0)
+    leaves = {id(before): SimpleNamespace(unlikely=0.0), id(after): SimpleNamespace(unlikely=-likelier)}
+    monkeypatch.setattr(entering, "_residual", lambda here, fitted: leaves[id(fitted)])
     judged = Step(replace(here, fitted=after), unlikely=here.unlikely - likelier)
     monkeypatch.setattr(entering, "_judged", lambda here, one, start, own: judged)
     step = entering._timed_anew(here, score, Step(replace(here, fitted=before), unlikely=here.unlikely), ())

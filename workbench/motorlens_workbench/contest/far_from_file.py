@@ -32,8 +32,8 @@ from motorlens_workbench.telling import Progress
 
 def enter_for_file(here: Standing, say: Progress) -> Step:
     """The likeliest name that brings back what is far from the motor file, if it is likelier than that the file is wrong."""
-    far = far_from_file(here.fitted)
-    if not far or here.null is None:
+    far = far_from_file(here.fitted) if here.null is not None else {}
+    if not far:
         return Step()
     judged = [_judged(here, far, *one) for one in _fitted(here, far, say)]
     able = [known for known in judged if known is not None]
