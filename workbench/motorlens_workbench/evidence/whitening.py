@@ -146,7 +146,8 @@ def fit_whitener(residual: Array, valid: NDArray[np.bool_], floor: Array, used: 
         for c in range(channels):
             given = np.concatenate([before, now[:c]])
             weights[given, c] = _regress(products[np.ix_(given, given)], products[given, now[c]])
-        squares = np.sum((table[:, now] - table @ weights) ** 2, axis=0)
+        left = np.eye(len(products))[:, now] - weights
+        squares = np.maximum(np.einsum("ic,ij,jc->c", left, products, left), 0.0)
         spent = len(before) + np.arange(channels)
         count = np.maximum(len(table) - spent - used / channels, max(0.5 * len(table), 1))
         sigma = np.maximum(np.sqrt(squares / count), floor)
