@@ -1,9 +1,9 @@
 """The contest: which hypotheses belong into the model. Adding, dropping and exchanging one are the same comparison.
 
-Every hypothesis, with a name or without, is weighed by what it explains of the evidence (Bayes factors under one scatter),
-the best with a name are fitted in full, and the best of all enters if it is beyond what the largest of all would be by
-chance (`evidence.null`). What has entered is weighed again beside whatever enters later. Where nothing
-else shows, a parameter far from the motor file may stand for a name (`far_from_file`). At the end every name is compared with
+Every hypothesis, with a name or without, is weighed by what it explains of the evidence (Bayes factors under one
+scatter), the best with a name are fitted in full, and the best of all enters if it is beyond what the largest of all
+would be by chance (`evidence.null`). What has entered is weighed again beside whatever enters later. Where nothing else
+shows, a parameter far from the motor file may stand for a name (`far_from_file`). At the end every name is compared with
 all that could stand in its place.
 """
 

@@ -1,9 +1,9 @@
 """A name that a parameter makes up for, where nothing shows of it but how far from the motor file that parameter has gone.
 
 Recordings do not tell an effect from a textbook parameter that acts as it does: a loss that grows with speed from viscous
-friction, radiation from conduction. Only the motor file does, as far as it is right. So it is taken at its word about what is
-far from it; each name that shows then is fitted, and how likely that is, is compared with how likely it is that the file is
-wrong. Errors of what a file states follow Student's t, as everywhere in a contest.
+friction, radiation from conduction. Only the motor file does, as far as it is right. So it is taken at its word about
+what is far from it; each name that shows then is fitted, and how likely that is, is compared with how likely it is that
+the file is wrong. Errors of what a file states follow Student's t, as everywhere in a contest.
 """
 
 from collections.abc import Collection, Mapping
