@@ -12,9 +12,9 @@ from motorlens_workbench.contest.entering import Step
 from motorlens_workbench.contest.far_from_file import enter_for_file, far_from_file, unlikely_beside_file
 from motorlens_workbench.contest.needed import beyond_chance
 from motorlens_workbench.diagnose import Finding
-from motorlens_workbench.report.json import next_command, to_json
+from motorlens_workbench.report.json import next_command, sentence, to_json
 from motorlens_workbench.standing import Standing
-from motorlens_workbench.verdict import settle
+from motorlens_workbench.verdict import Verdict, settle
 
 # The loss of an iron core, as a share of what the file says that it is: all but what viscous friction does.
 IRON = {"name": "iron_loss_torque", "size": 0.8, "shape": {}}
@@ -62,6 +62,25 @@ def test_that_the_file_may_be_wrong_is_said_in_front_of_the_name(iron: Standing)
     assert any(text.startswith("Without iron_loss_torque, b: ") for text in document["cannot_tell"])
     # The error does not fall: `add` writes nothing by itself.
     assert " iron_loss_torque " in next_command(document) and " --force " in next_command(document)
+
+
+def test_names_that_hold_by_themselves_are_told_in_front_of_that() -> None:
+    found = SimpleNamespace(outcome=SimpleNamespace(accepted=()), dead=())
+    verdict = Verdict(
+        kind="unknown",
+        chosen=("brush_voltage_drop", "iron_loss_torque"),
+        groups=(("brush_voltage_drop", "dead_time"), ("iron_loss_torque",)),
+        equation="mechanical",
+        probability={"brush_voltage_drop": 0.6, "dead_time": 0.4, "iron_loss_torque": 0.9},
+        shape=None,
+        contradicted=("b", "k_ir"),
+        instead=("iron_loss_torque",),
+        untold=(),
+    )
+    assert sentence(found, verdict) == (  # type: ignore[arg-type]
+        "Missing: one of brush voltage drop or dead time; and either b and k_ir are not what the motor file says, or iron "
+        "loss torque is missing, which they make up for; nothing else shows above the sizes listed."
+    )
 
 
 @pytest.mark.fit

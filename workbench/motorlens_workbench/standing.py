@@ -42,6 +42,36 @@ SEED = 1993
 
 
 @dataclass(frozen=True)
+class Residual:
+    """What a model leaves, as noise of its own.
+
+    Attributes:
+        unlikely_samples: (N,) of each run, twice the negative logarithmic likelihood of each sample.
+        blocks: of time, as of a ledger.
+    """
+
+    unlikely_samples: tuple[Array, ...]
+    blocks: tuple[tuple[int, slice], ...]
+
+    @classmethod
+    def of(cls, lines: Sequence[Line], rests: Iterable[Array]) -> "Residual":
+        """Of what is left (N, C) of each run."""
+        each = zip(lines, rests, strict=True)
+        samples = (_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in each)
+        return cls(tuple(samples), layout(lines))
+
+    @property
+    def unlikely(self) -> float:
+        """Of all samples together."""
+        return sum(float(np.sum(samples)) for samples in self.unlikely_samples)
+
+    def likelier_by_block(self, other: "Residual") -> Array:
+        """(B,) by how much it is likelier than what another model leaves, in each block of time."""
+        one, two = self.unlikely_samples, other.unlikely_samples
+        return np.array([float(np.sum(two[r][rows] - one[r][rows])) for r, rows in self.blocks])
+
+
+@dataclass(frozen=True)
 class Standing:
     """A fitted model and all that may be missing from it, looked at when it is first asked for.
 
@@ -105,7 +135,7 @@ class Standing:
         return null_of([score for score in self.scores if score.possible], np.random.default_rng(SEED))
 
     @cached_property
-    def residual(self) -> "Residual":
+    def residual(self) -> Residual:
         """What the model leaves."""
         return Residual.of(self.lines, [line.error for line in self.lines])
 
@@ -190,36 +220,6 @@ def summed(fitted: Fitted, hypotheses: Sequence[Hypothesis] = ()) -> tuple[Ledge
     noises = [_noise(line) for line in lines]
     coloured, white = ledgers(lines, (Lens(noises), Lens(noises, plain=True)), fitted.prior, hypotheses)
     return coloured, white
-
-
-@dataclass(frozen=True)
-class Residual:
-    """What a model leaves, as noise of its own.
-
-    Attributes:
-        unlikely_samples: (N,) of each run, twice the negative logarithmic likelihood of each sample.
-        blocks: of time, as of a ledger.
-    """
-
-    unlikely_samples: tuple[Array, ...]
-    blocks: tuple[tuple[int, slice], ...]
-
-    @classmethod
-    def of(cls, lines: Sequence[Line], rests: Iterable[Array]) -> "Residual":
-        """Of what is left (N, C) of each run."""
-        each = zip(lines, rests, strict=True)
-        samples = (_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in each)
-        return cls(tuple(samples), layout(lines))
-
-    @property
-    def unlikely(self) -> float:
-        """Of all samples together."""
-        return sum(float(np.sum(samples)) for samples in self.unlikely_samples)
-
-    def likelier_by_block(self, other: "Residual") -> Array:
-        """(B,) by how much it is likelier than what another model leaves, in each block of time."""
-        one, two = self.unlikely_samples, other.unlikely_samples
-        return np.array([float(np.sum(two[r][rows] - one[r][rows])) for r, rows in self.blocks])
 
 
 def residual_of(here: Standing, fitted: Fitted) -> Residual:
