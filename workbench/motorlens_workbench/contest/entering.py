@@ -323,11 +323,12 @@ def unlikely_as_known(here: Standing, fitted: Fitted) -> float:
 
 
 def _residual(here: Standing, fitted: Fitted) -> Residual | None:
-    """See `residual_of`; None where the model cannot be simulated."""
+    """See `residual_of`; None where the model cannot be simulated, or leaves what is no number."""
     try:
-        return residual_of(here, fitted)
+        residual = residual_of(here, fitted)
     except ModelError:
         return None
+    return residual if np.isfinite(residual.unlikely) else None
 
 
 def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect]]) -> Step:

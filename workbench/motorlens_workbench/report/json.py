@@ -206,10 +206,10 @@ def _or_the_file(verdict: Verdict, offered: Mapping[str, str]) -> str:
     sure = [text for name, text in offered.items() if name not in verdict.instead]
     missing = [text for name, text in offered.items() if name in verdict.instead]
     verb, makes = ("is", "it makes") if len(verdict.contradicted) == 1 else ("are", "they make")
-    either = f"ither {' and '.join(verdict.contradicted)} {verb} not what the motor file says, or "
+    wrong = f"{' and '.join(verdict.contradicted)} {verb} not what the motor file says"
     which = f"{' and '.join(missing)} is missing, which" if missing else "something is missing that"
-    begin = f"Missing: {'; and '.join(sure)}; and e" if sure else "E"
-    return f"{begin}{either}{which} {makes} up for; nothing else shows above the sizes listed."
+    either = f"Missing: {'; and '.join(sure)}; and either" if sure else "Either"
+    return f"{either} {wrong}, or {which} {makes} up for; nothing else shows above the sizes listed."
 
 
 def _words(name: str) -> str:
