@@ -2,7 +2,8 @@
 
 A fault in a sensor competes with missing physics on equal terms, so sensor models have the shape of effects: parameters
 with unit, bounds, prior and a switch with a `null`. `read` is pointwise and smooth, for gradients; `record` makes a whole
-column, where order and randomness matter. For an input of the motor (voltage, load torque) `unread` is the inverse.
+column, where order and randomness matter. For an input of the motor (voltage, load torque) `unrecord` is the
+inverse.
 
 A model without a switch (noise, quantisation, clipping, a dead channel) is for simulation only: it says how good a column
 is, not what is missing from a model.
@@ -73,13 +74,13 @@ class SensorModel:
         """What the sensor shows for the true value y, whose time derivative is `rate`."""
         return y
 
-    def unread(self, shown: Any, rate: Any) -> Any:
-        """The true value for what the sensor shows, whose time derivative is `rate`."""
-        return shown
-
     def record(self, time_s: Array, y: Array, rng: np.random.Generator) -> Array:
         """What the sensor shows of the true samples y[N] taken at time_s[N]; randomness comes from `rng`."""
         return np.asarray(self.read(y, np.zeros_like(y)), dtype=np.float64)
+
+    def unrecord(self, time_s: Array, shown: Array) -> Array:
+        """The true samples y[N] for what the sensor shows at time_s[N], its noise apart."""
+        return shown
 
     def _on_channel(self, parameter: Parameter) -> Parameter:
         unit, of = UNIT_OF_CHANNEL[self.channel], RATED_OF_CHANNEL[self.channel]

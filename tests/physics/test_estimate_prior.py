@@ -47,11 +47,12 @@ def test_widths_and_pulls_are_those_of_the_density(ke):
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1])
-def test_a_step_a_file_does_not_end_at_a_twentieth_of_the_motor_constant(seed):
+@pytest.mark.parametrize("cogging", [pytest.param(0.0, marks=pytest.mark.long), 0.01, 0.015])
+def test_a_step_a_file_does_not_end_at_a_twentieth_of_the_motor_constant(cogging):
     """A geared motor with friction that its file lacks, five steps from rest; speed comes late and in whole degrees.
 
-    A motor that brakes itself by b in the place of its EMF settles as fast, and what is left passes for a torque.
+    A motor that brakes itself by b in the place of its EMF settles as fast, and what is left passes for a torque. With a
+    cogging of 0.015 N m a fit is led there, and back only from where ke and b are as the file has them.
     """
     true = {"R": 6.7, "L": 0.005, "ke": 0.6, "J": 0.0035, "b": 2e-4, "alpha": 0.0039, "k0": 0.05, "H": 20.0}
     plate = Rated(voltage_V=9.0, current_A=0.4, speed_rad_s=17.0, torque_Nm=0.17, rise_K=60.0, ambient_C=22.0)
@@ -65,7 +66,7 @@ def test_a_step_a_file_does_not_end_at_a_twentieth_of_the_motor_constant(seed):
     for volts in (-3.95, -3.16, -2.37, -1.58, -0.79):
         inputs = np.zeros((4800, plant.INPUTS))
         inputs[:, plant.VOLTAGE], inputs[:, plant.FLUX] = volts, 1.0
-        p = plant.vector(**true, tau_c=0.022, cog=0.01 * seed, cog_N=12.0)
+        p = plant.vector(**true, tau_c=0.022, cog=cogging, cog_N=12.0)
         w = plant.simulate(0.0006, inputs, plant.rest(), p)[:, plant.W]
         late = np.convolve(np.r_[np.zeros(66), w], np.full(66, 1 / 66), "valid")[: len(w) : 10]
         speed = np.radians(np.round(np.degrees(late)))

@@ -154,7 +154,7 @@ def near(
     model, pieces = pieces_of(wide, longer, PIECE)
     prior = prior_of(prior, begin, pieces, cut(runs, pieces))
     timing = Timing(model, wide, longer, prior, progress)
-    point = timing.likeliest(timing.near(model, pieces), free=free)
+    point = timing.held_at_file(timing.likeliest(timing.near(model, pieces), free=free))
     # Parameters that are wrong leave errors that follow the inputs, and that last.
     rough = with_rough_inputs(point, prior)
     point = point if rough is point else minimised(rough, prior, progress, outliers=False)[0]

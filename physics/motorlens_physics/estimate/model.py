@@ -320,8 +320,7 @@ def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:
 def _unread(sensors: Sequence[SensorModel], channel: str, time_s: Array, y: Array) -> Array:
     for sensor in reversed(sensors):
         if sensor.channel == channel:
-            rate = _rate(y, time_s) if sensor.kind == "lag" else 0.0
-            y = np.asarray(sensor.unread(y, rate), dtype=np.float64)
+            y = sensor.unrecord(time_s, y)
     return y
 
 

@@ -13,9 +13,11 @@ from motorlens_physics.estimate.fit import NEAR, fit, white
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.pieces import as_found, cut, starting_as
 from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.report import FAR
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import (
     Weighed,
+    at,
     begun,
     from_noise,
     gained,
@@ -79,6 +81,24 @@ class Timing:
                 break
             point = other
         return moved(point, self.prior, self.progress)
+
+    def held_at_file(self, point: Weighed) -> Weighed:
+        """The point, or a likelier one that a fit reaches which began with what is far from the motor file held there.
+
+        A motor that is wrong in much may fit as well, and from there no step leads back.
+        """
+        values = point.model.values()
+        penalties = zip(self.prior.keys, self.prior.penalties(values), strict=True)
+        far = {key for key, penalty in penalties if not {".", "@"} & set(key) and penalty >= FAR**2}
+        if not far:
+            return point
+        rest = self.prior.only([key for key in self.prior.keys if key not in far])
+        runs = [replace(run, corrections=None) for run in point.runs]
+        start = replace(self.begin, held=point.model.held)
+        rough = fit(start, runs, replace(self, prior=rest).straight, rounds=NEAR, enough=1.0)
+        near, _, _ = minimised(begun(rough.model, runs, rest), rest, self.progress, outliers=False)
+        other = moved(self._minimised(at(near.model, near, self.prior)), self.prior, self.progress)
+        return other if gained(point, other, self.prior) > 0 else point
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         # That inputs hold looks as if all were late by a part of a sample, and is asked first.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from motorlens_physics.parameter import param
-from motorlens_physics.sensor_model import SensorModel
+from motorlens_physics.sensor_model import Array, SensorModel
 
 
 @dataclass(frozen=True)
@@ -27,5 +27,5 @@ class SensorOffset(SensorModel):
     def read(self, y: Any, rate: Any) -> Any:
         return y + self.offset
 
-    def unread(self, shown: Any, rate: Any) -> Any:
+    def unrecord(self, time_s: Array, shown: Array) -> Array:
         return shown - self.offset
