@@ -170,7 +170,10 @@ def minimise(
             step = share * _step(point.model.values(), prior, gram, gradient, damping)
             trial, reached = tried(step)
             if trial is not None and reached >= cost and left >= FLAT:
-                trial, reached = tried(_turned(step, point, trial, prior, gram, gradient, damping))
+                turned = _turned(step, point, trial, prior, gram, gradient, damping)
+                # A curve that ends soon bends too much to be known from as far away as that.
+                half = tried(step / 2) if _length(turned, gram) < _length(step, gram) / 2 else (None, np.inf)
+                trial, reached = half if half[1] < cost else tried(turned)
             if trial is not None and (reached < cost or left < FLAT):
                 point, moved = trial, True
                 break
