@@ -2,11 +2,23 @@
 
 import numpy as np
 import pytest
+from helpers import plain_motor
+from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL
 
 from motorlens_physics.estimate.converter import lasting_error, quantisation_step, saturated
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.estimate.signals import noise_sd, smoothed
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
+from motorlens_physics.recording import Recording
 
 STEP = 0.3
+PLATE = Rated(
+    voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
+    torque_Nm=RATED["load_torque"], rise_K=RATED["temperature"],
+)  # fmt: skip
 
 
 def shown(truth: np.ndarray, sd: float, rng: np.random.Generator, level: float = 0.0) -> np.ndarray:
@@ -83,3 +95,32 @@ def test_what_lasts_goes_on_where_the_signal_moves():
     assert lasts is not None
     keeps = lasts.keeps()
     assert np.all(keeps[:99] > 0.97) and np.all(keeps[101:148] == 0) and np.all(keeps[151:] > 0.98)
+
+
+@pytest.mark.fit
+def test_a_current_that_never_leaves_one_reading_is_as_coarse_as_it_is_elsewhere():
+    """Of two recordings of one motor, by an integrator of its own: near standstill, and driven as usual."""
+    rng, step = np.random.default_rng(4), 1.2
+    files = []
+    for volts in (0.8, 120.0):
+        voltage = np.repeat(rng.uniform(-volts, volts, 20), 100)
+        test = plain_motor.Test(0.01, len(voltage), 100, True, 0.0)
+        states = plain_motor.simulated(TYPICAL | {"R_a0": 3.0}, voltage, np.zeros(len(voltage)), test)
+        noise = 0.002 * rng.standard_normal((len(voltage), 4))
+        channels = {
+            "voltage": voltage + RATED["voltage"] * noise[:, 0],
+            "current": np.round((states[:, 0] + RATED["current"] * noise[:, 1]) / step) * step + 0.0,
+            "speed": states[:, 1] + RATED["speed"] * noise[:, 2],
+            "temperature": AMBIENT_C + states[:, 2] + RATED["temperature"] * noise[:, 3],
+        }
+        files.append(Recording(f"{volts} V", 0.01 * np.arange(len(voltage)), channels))
+    file = MotorFile("plate", Motor(**TYPICAL), PLATE)
+    runs = prepare_all(files, file)
+    c = runs[0].channels.index("current")
+    assert not np.ptp(runs[0].measured[:, c]) and np.ptp(runs[1].measured[:, c]) > 10 * step
+    assert runs[0].steps[c] == runs[1].steps[c] == pytest.approx(step)
+    found = estimate(file, runs)
+    value, sd = found.fit.model.values()["R_a0"], found.fit.sd()["R_a0"]
+    assert found.converged and abs(value - 3.0) < 3.5 * sd and 0.003 < sd < 0.1
+    # Alone, no step is known.
+    assert prepare_all(files[:1], file)[0].steps[c] == 0

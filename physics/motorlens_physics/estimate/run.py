@@ -316,13 +316,31 @@ def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, 
     Where the shaft stood at the start of a recording without an angle is not known, so what goes with the angle (cogging,
     say) is looked for where the angle was measured, or in the most finely sampled recording alone, if it is fine enough.
     """
-    runs = tuple(prepare(recording, file) for recording in recordings)
+    runs = _with_steps_of_others([prepare(recording, file) for recording in recordings])
     measured = any(run.angle is not None for run in runs)
     finest = min(runs, key=lambda run: run.period_s)
     fine = finest.period_s * file.rated.speed_rad_s < HALF_TURN
     return tuple(
         replace(run, turns=run.angle is not None if measured else run is finest and fine) for run in runs
     )
+
+
+def _with_steps_of_others(runs: Sequence[Run]) -> list[Run]:
+    """Runs of which a channel never left one reading with the converter that the same channel has in others.
+
+    One reading tells no step, and would be taken to be exact.
+    """
+    known: dict[str, float] = {}
+    for run in runs:
+        for channel, step in zip(run.channels, run.steps.tolist(), strict=True):
+            known[channel] = max(known.get(channel, 0.0), step)
+    others = []
+    for run in runs:
+        steps = np.array([known[channel] for channel in run.channels])
+        steps = np.where((run.steps == 0) & (np.ptp(run.measured, axis=0) == 0), steps, run.steps)
+        floor = np.maximum(run.floor, steps / np.sqrt(12 * run.every))
+        others.append(replace(run, steps=steps, floor=floor))
+    return others
 
 
 def resting(channels: Sequence[Array]) -> NDArray[np.bool_]:
