@@ -95,10 +95,14 @@ class Timing:
         rest = self.prior.only([key for key in self.prior.keys if key not in far])
         runs = [replace(run, corrections=None) for run in point.runs]
         start = replace(self.begin, held=point.model.held)
-        rough = fit(start, runs, replace(self, prior=rest).straight, rounds=NEAR, enough=1.0)
-        near, _, _ = minimised(begun(rough.model, runs, rest), rest, self.progress, outliers=False)
-        other = moved(self._minimised(at(near.model, near, self.prior)), self.prior, self.progress)
-        return other if gained(point, other, self.prior) > 0 else point
+        try:
+            rough = fit(start, runs, replace(self, prior=rest).straight, rounds=NEAR, enough=1.0)
+            near, _, _ = minimised(begun(rough.model, runs, rest), rest, self.progress, outliers=False)
+            other = moved(self._minimised(at(near.model, near, self.prior)), self.prior, self.progress)
+            return other if gained(point, other, self.prior) > 0 else point
+        except ModelError:
+            # The motor of the file cannot be simulated as it was driven.
+            return point
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         # That inputs hold looks as if all were late by a part of a sample, and is asked first.
