@@ -108,8 +108,8 @@ def test_what_is_found_between_steps_is_no_reason_to_refuse_one() -> None:
     line = Problem(lambda at: np.array([3 - at[0], 1 - 2 * at[0]]), (4.0,))
     end, left, tried = searched(line, prior_of((-FREE, FREE)), seen=100.0)
     assert end.at[0] == pytest.approx(1.0, abs=1e-4) and left < 0.01
-    # Not only a shorter one, but the same step again.
-    assert [tried[k].at[0] for k in (0, 2)] == pytest.approx([1.0, 1.0], abs=1e-4)
+    # Not only shorter ones, but the same step again, before any that is damped.
+    assert [tried[k].at[0] for k in (0, 3)] == pytest.approx([1.0, 1.0], abs=1e-4)
 
 
 def test_a_step_that_is_refused_turns_into_the_valley() -> None:

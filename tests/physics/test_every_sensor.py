@@ -111,8 +111,8 @@ def test_typical_faults_show_and_do_not_drown(name):
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_was_recorded_is_found_again(name):
     fault = FAULTS[name].typical(PLATES[0])
-    # A lag of a tenth of a sample tells the corners too, but not what came before the first.
-    time = TIME / np.mean(np.diff(TIME)) * (10 * fault.tau if "lag" in name else 1.0)
+    # A lag of a thirtieth of a sample tells the corners too, but not what came before the first.
+    time = TIME / np.mean(np.diff(TIME)) * (30 * fault.tau if "lag" in name else 1.0)
     again = fault.unrecord(time, fault.record(time, TRUE, rng()))
     np.testing.assert_allclose(again[1:], TRUE[1:], atol=5e-3 if "lag" in name else 1e-13)
 
@@ -129,7 +129,7 @@ def test_a_lag_is_undone_by_least_squares(samples):
     turn = np.zeros((78, 80))
     mean = np.eye(79, 80) * (1 - late)[:, None] + np.eye(79, 80, 1) * late[:, None]
     for row in range(78):
-        turn[row, row : row + 3] = np.sqrt(0.03) * ((1 - late) / late)[row + 1] * np.array([1, -2, 1])
+        turn[row, row : row + 3] = np.sqrt(0.1 * ((1 - late) / late)[row + 1] ** 3) * np.array([1, -2, 1])
     first = np.eye(1, 80)
     right = [
         [shown[0] + samples * (shown[1] - shown[0]) / dt[0]],
@@ -140,11 +140,11 @@ def test_a_lag_is_undone_by_least_squares(samples):
     np.testing.assert_allclose(lag.unrecord(time, shown), expected, rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("samples", "corner", "noise"), [(0.2, 0.2, 1.5), (0.5, 0.6, 1.8), (2.0, 0.8, 1.9), (20.0, 0.8, 1.9)]
-)
-def test_undone_a_lag_leaves_corners_and_does_not_drown_in_noise(samples, corner, noise):
-    """Beside a difference over two steps: the error at corners, and what becomes of noise."""
+@pytest.mark.parametrize(("samples", "corner"), [(0.2, 0.13), (0.5, 0.7), (2.0, 0.92), (20.0, 0.97)])
+def test_undone_a_lag_leaves_corners_and_noise_grows_little_more_than_by_a_difference_over_two_steps(
+    samples, corner
+):
+    """The errors of both beside each other, and what becomes of noise."""
     time = np.arange(4000.0)
     steps = np.repeat(rng().standard_normal(40), 100)
     white = rng().standard_normal(4000)
@@ -162,8 +162,8 @@ def test_undone_a_lag_leaves_corners_and_does_not_drown_in_noise(samples, corner
     def by_lag(y):
         return lag.unrecord(time, y)
 
-    assert 0.5 * corner < left(by_lag) / left(by_differences) < corner
-    assert 1.0 < grown(by_lag) / grown(by_differences) < noise
+    assert 0.8 * corner < left(by_lag) / left(by_differences) < corner
+    assert 1.0 < grown(by_lag) / grown(by_differences) < 1.45
 
 
 @pytest.mark.parametrize("name", FAULTS)

@@ -13,10 +13,10 @@ from motorlens_physics.sensor_model import Array, SensorModel
 # Typical time constants in s: a filter before the converter, an encoder's averaging, a thermocouple in a coil.
 LAG_OF_CHANNEL = {"voltage": 1e-3, "current": 1e-3, "speed": 1e-2, "temperature": 30.0, "load_torque": 1e-2}
 
-# Of what lags long, how much the square of a second difference counts beside that of an error: enough that noise which
-# alternates from sample to sample grows by less than twice what a difference over two steps would make of it, and no more,
-# for corners are smoothed as well (`test_every_sensor.py`).
-ROUGH = 0.03
+# How much the square of a second difference counts beside that of an error, of what lags long: white noise grows as a difference
+# over two steps would make it grow, and corners are smoothed less than by that (`test_every_sensor.py`). Of what lags by less
+# than a sample it counts ever less, as the cube of how little the sample before weighs: there is little to be undone.
+ROUGH = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class SensorLag(SensorModel):
         steps = -1 / np.expm1(-dt / self.tau)
         mean = shown[:-1] + steps * np.diff(shown)
         weights = 1 - steps + self.tau / dt, steps - self.tau / dt
-        rough = ROUGH * (weights[0] / weights[1]) ** 2
+        rough = ROUGH * (weights[0] / weights[1]) ** 3
         # The upper bands of the normal equations. The first sample is taken to be on the line through the first two shown.
         bands, right = np.zeros((3, len(shown))), np.zeros(len(shown))
         bands[2, 0], right[0] = 1.0, shown[0] + self.tau * (shown[1] - shown[0]) / dt[0]
