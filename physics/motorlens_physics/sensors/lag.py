@@ -13,9 +13,9 @@ from motorlens_physics.sensor_model import Array, SensorModel
 # Typical time constants in s: a filter before the converter, an encoder's averaging, a thermocouple in a coil.
 LAG_OF_CHANNEL = {"voltage": 1e-3, "current": 1e-3, "speed": 1e-2, "temperature": 30.0, "load_torque": 1e-2}
 
-# How much the square of a second difference counts beside that of an error, of what lags long: white noise grows as a difference
-# over two steps would make it grow, and corners are smoothed less than by that (`test_every_sensor.py`). Of what lags by less
-# than a sample it counts ever less, as the cube of how little the sample before weighs: there is little to be undone.
+# How much the square of a second difference counts beside that of an error, of what lags long: white noise grows as a
+# difference over two steps would make it grow, and corners are smoothed less than by that (`test_every_sensor.py`). Of what
+# lags by less than a sample it counts ever less, as the cube of how little the sample before weighs.
 ROUGH = 0.1
 
 
