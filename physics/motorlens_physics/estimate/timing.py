@@ -1,7 +1,8 @@
 """How a recording is timed: how its inputs ran between its samples, and which of its channels are late.
 
 `between_samples` and `delays` see from one point what another timing seems to win. Here each is fitted in full, and stays
-only where that holds.
+only where that holds. So is the motor that its file states, where a fit has ended far from it: what is late may have led it
+there.
 """
 
 from collections.abc import Callable, Sequence
