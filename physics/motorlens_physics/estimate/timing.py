@@ -32,13 +32,16 @@ REALIGNED = 4
 
 
 def moved(point: Weighed, prior: Prior, progress: Callable[[str], None]) -> Weighed:
-    """The point with channels moved whose skew has come to a sample, as long as that makes the recording likelier."""
+    """The point with channels moved whose skew has come to a sample, as long as that makes the recording likelier.
+
+    By whatever it does: a skew and a whole sample less of it are the same delay, and there is no more to be fitted.
+    """
     for _ in range(REALIGNED):
         other = realigned(point, prior)
         if other is point:
             break
         other, _, _ = minimised(other, prior, progress, outliers=False)
-        if gained(point, other, prior) < needed(1):
+        if gained(point, other, prior) <= 0:
             break
         point = other
     return point
