@@ -36,7 +36,7 @@ class DeadTime(Effect):
         of="current",
         role="width",
     )
-    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0)
+    m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0, role="knee")
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
         return -self.V_dt * saturated(x.i, self.i_r, self.m)

@@ -152,14 +152,21 @@ def near(
     begin = replace(begin, tolerance=COARSE)
     wide, longer = pieces_of(begin, runs, FARTHER * PIECE)
     model, pieces = pieces_of(wide, longer, PIECE)
-    prior = prior_of(prior, begin, pieces, cut(runs, pieces))
+    every = prior_of(prior, begin, pieces, cut(runs, pieces))
+    prior = every.only([key for key in every.keys if not _knee(begin, key)])
     timing = Timing(model, wide, longer, prior, progress)
     point = timing.held_at_file(timing.likeliest(timing.near(model, pieces), free=free))
     # Parameters that are wrong leave errors that follow the inputs, and that last.
     rough = with_rough_inputs(point, prior)
     point = point if rough is point else minimised(rough, prior, progress, outliers=False)[0]
     coloured = with_colour(point)
-    return point if coloured is point else minimised(coloured, prior, progress, outliers=False)[0]
+    point = point if coloured is point else minimised(coloured, prior, progress, outliers=False)[0]
+    return point if prior.keys == every.keys else at(point.model, point, every)
+
+
+def _knee(model: Model, key: str) -> bool:
+    """Whether a parameter is how sharp a transition's knee is, which hardly shows until all else is found."""
+    return "@" not in key and model.file.meaning(key).role == "knee"
 
 
 def by_least_squares(runs: Sequence[Run], prior: Prior, begin: Model) -> float:
