@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers.hidden import draw, generate, generate_again, known
 from helpers.hidden import score as scoring
@@ -196,3 +197,13 @@ def test_scoring_knows_right_from_wrong() -> None:
     assert table["outside the catalogue: unknown"].lstrip().startswith("0.0 %")
     wrong = table["wrong name with confidence, all cases"]
     assert float(wrong.split("%")[0]) > 90
+
+
+def test_the_calibration_error_that_chance_makes_is_that_of_drawn_answers() -> None:
+    rng = np.random.default_rng(3)
+    stated = np.concatenate([rng.uniform(0.2, 1.0, 25), np.full(15, 0.99)])
+    right = rng.random((4000, len(stated))) < stated
+    measured = [scoring.calibration_error(stated, one.astype(float)) for one in right]
+    drawn, foretold = np.mean([error for error, _ in measured]), measured[0][1]
+    assert drawn == pytest.approx(foretold, rel=0.02)
+    assert scoring.calibration_error(stated, np.zeros(len(stated)))[0] == pytest.approx(np.mean(stated))

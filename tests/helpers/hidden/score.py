@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from helpers.hidden.effects import CHANNELS
 from helpers.hidden.motors import MOTORS
+from numpy.typing import NDArray
 from scipy.stats import norm
 
 Truth = dict[str, Any]
@@ -169,8 +170,8 @@ def catalogue_unit(truth: Truth, name: str) -> float:
     return MOTORS[truth["case"]["motor"]].current_A if name == "armature_reaction" else 1.0
 
 
-def calibration(rows: Sequence[Row], bins: int = 10) -> tuple[float, int]:
-    """Expected calibration error of the probability stated for the name given first, and how many were stated."""
+def calibration(rows: Sequence[Row]) -> str:
+    """Calibration error of the probability stated for the name given first, and what is expected of as many that hold."""
     stated, right = [], []
     for truth, answer, _ in rows:
         first = named_first(answer)
@@ -181,11 +182,31 @@ def calibration(rows: Sequence[Row], bins: int = 10) -> tuple[float, int]:
                 stated.append(float(candidate["probability"]))
                 right.append(first in {effect["name"] for effect in truth["hidden"]})
     if not stated:
-        return float("nan"), 0
-    p, hit = np.array(stated), np.array(right, float)
+        return "nan, n = 0"
+    error, by_chance = calibration_error(np.array(stated), np.array(right, float))
+    return f"{error:.3f}, n = {len(stated)} ({by_chance:.3f} if right as often as stated)"
+
+
+def calibration_error(
+    p: NDArray[np.float64], right: NDArray[np.float64], bins: int = 10
+) -> tuple[float, float]:
+    """Mean distance between what is stated and what is right, bin by bin, and its expectation if `p` (N,) holds.
+
+    In few cases the distance is large by chance alone: how many of a bin are right is a sum of Bernoulli variables.
+
+    >>> calibration_error(np.array([0.5, 0.5]), np.array([1.0, 0.0]))  # by chance both or none are right every other time
+    (0.0, 0.25)
+    """
     which = np.minimum((p * bins).astype(int), bins - 1)
-    gaps = [abs(hit[which == k].mean() - p[which == k].mean()) * (which == k).sum() for k in set(which)]
-    return float(sum(gaps) / len(p)), len(p)
+    error = by_chance = 0.0
+    for k in set(which):
+        of = p[which == k]
+        chances = np.ones(1)
+        for one in of:
+            chances = np.convolve(chances, [1 - one, one])
+        error += abs(right[which == k].sum() - of.sum())
+        by_chance += float(chances @ np.abs(np.arange(len(chances)) - of.sum()))
+    return float(error / len(p)), by_chance / len(p)
 
 
 def error_after(rows: Sequence[Row]) -> list[float]:
@@ -221,7 +242,6 @@ def summary(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
     none = [row for row in rows if row[0]["kind"] == "none"]
     every = lambda row: True  # noqa: E731
     errors, inside = sizes([row for row in single if strong(row)])
-    ece, stated = calibration(rows)
     after = error_after(rows)
     seconds = np.array([row[2] for row in rows]) if rows else np.zeros(1)
     right = lambda r: strong(r) and separable(r)  # noqa: E731
@@ -244,7 +264,7 @@ def summary(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
         ("outside the catalogue: unknown", ">= 90 %", str(rate(outside, strong, unknown))),
         ("outside the catalogue: right equation", ">= 90 %", str(rate(outside, strong, right_equation))),
         ("decoys accepted", "0", str(rate(rows, every, mentions_decoy))),
-        ("stated probability: calibration error", "<= 0.05", f"{ece:.3f}, n = {stated}"),
+        ("stated probability: calibration error", "<= 0.05", calibration(rows)),
         ("size: median error", "<= 3 %", f"{100 * np.median(errors):.1f} %, n = {len(errors)}" if errors else "-"),
         ("size: inside the 90 % interval", "85-95 %", str(Rate(sum(inside), len(inside)))),
         ("held-out RMSE / floor: median", "<= 1.05", f"{np.median(after):.3f}, n = {len(after)}" if after else "-"),
