@@ -3,7 +3,7 @@
     python benchmarks/hidden_effects.py seal                                   prints the hashes of the plans
     python benchmarks/hidden_effects.py generate --split dev --n 400 -o DIR    recordings, and the key in DIR/key
     python benchmarks/hidden_effects.py run --split dev --n 400 -o DIR         generates, diagnoses and deletes, resumable
-    python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy (plain, weak), residual whiteness
+    python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy in three ways, AICc, whiteness
     python benchmarks/hidden_effects.py resolve DIR                         diagnoses again with the experiments proposed
     python benchmarks/hidden_effects.py score DIR                              opens the key, prints the rates
 
@@ -121,6 +121,7 @@ def _slim(answer: dict[str, Any]) -> dict[str, Any]:
 def instead(case: Case, out: str) -> dict[str, Any]:
     """What each of the usual methods says of a case."""
     import baselines
+    import forward
 
     directory = Path(out)
     answers: dict[str, Any] = {}
@@ -129,6 +130,11 @@ def instead(case: Case, out: str) -> dict[str, Any]:
         for name, method in (
             ("pysindy", lambda: baselines.sindy(made.recordings, made.motor, weak=False)),
             ("pysindy weak", lambda: baselines.sindy(made.recordings, made.motor, weak=True)),
+            (
+                "pysindy ensemble",
+                lambda: baselines.sindy(made.recordings, made.motor, weak=True, keep=baselines.kept_by_most),
+            ),
+            ("AICc forward", lambda: forward.forward(made.recordings, made.motor)),
             ("whiteness", lambda: baselines.whiteness(made.recordings, made.motor)),
         ):
             start = time.monotonic()

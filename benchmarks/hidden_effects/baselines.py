@@ -1,4 +1,5 @@
-"""What a user would try instead of `motorlens diagnose`: PySINDy, plain and in weak form, and a test of whiteness.
+"""What a user would try instead of `motorlens diagnose`: PySINDy, plain, in weak form and in an ensemble; forward choice by
+AICc; a test of whiteness.
 
 PySINDy gets all that a user who knows motors would give it. The three balances stand as they are written on paper (the
 voltage over L di/dt, R i, ke w; the current over J dw/dt, b w and the load; the rate of the temperature over heat and
@@ -12,11 +13,16 @@ answer; columns that are copies of each other are a group.
 
 Beyond it: gains of sensors and heat of friction (any coefficient absorbs them), and recordings without a speed.
 
+The ensemble chooses so from each of many draws of blocks of time, and keeps what most choose (Fasel et al. 2022,
+doi:10.1098/rspa.2021.0904); its own bags would draw samples, which are no independent ones.
+
 Whiteness gets the textbook as `motorlens` fits it by simulation, and the test of Ljung and Box (1978) on what it leaves.
+Forward choice gets the fits of `motorlens` and its noise, and decides by AICc alone, as PEtab Select does (`forward`).
 """
 
 import tomllib
 import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +41,8 @@ FOLDS, BLOCKS = 8, 16
 DOMAINS = 400
 # Standard errors within which a sparser model is as good.
 SURE = 2.0
+# Draws of an ensemble, and the share of them in which a term that is kept is chosen at least.
+BAGS, INCLUDED = 20, 0.6
 # What has no term of its own, so that PySINDy cannot name it: any coefficient absorbs it, or no column shows it.
 BEYOND = (
     "friction_heat", "iron_loss_torque", "temperature_sensor_gain", "temperature_sensor_lag",
@@ -227,8 +235,14 @@ def terms(record: Record, motor: dict[str, Any], weak: bool) -> dict[str, Terms]
     }
 
 
-def sindy(paths: list[Path], motor: Path, weak: bool) -> dict[str, Any] | None:
+Kept = list[tuple[float, tuple[str, ...]]]
+
+
+def sindy(
+    paths: list[Path], motor: Path, weak: bool, keep: "Callable[[Problem], Kept] | None" = None
+) -> dict[str, Any] | None:
     """PySINDy's answer: the terms it keeps beyond the textbook, the strongest first; None where the speed is missing."""
+    keep = kept if keep is None else keep
     records = [read(path) for path in sorted(paths)]
     if any("w" not in record.d for record in records):
         return None
@@ -245,7 +259,7 @@ def sindy(paths: list[Path], motor: Path, weak: bool) -> dict[str, Any] | None:
                 if equation in own and (equation != "thermal" or record.slow)
             ]
             if used:
-                found += [(size, names, equation) for size, names in kept(used)]
+                found += [(size, names, equation) for size, names in keep(Problem.of(used))]
     found.sort(reverse=True)
     groups: list[list[str]] = []
     for _, names, _ in found:
@@ -260,37 +274,84 @@ def sindy(paths: list[Path], motor: Path, weak: bool) -> dict[str, Any] | None:
     }
 
 
-def kept(used: list[Terms]) -> list[tuple[float, tuple[str, ...]]]:
-    """Size (in deviations of the target) and names of the terms that one balance keeps beyond the textbook."""
-    # What only the first record shows (the angle) is nothing in the other.
-    layout = used[0].columns
-    stacks: list[list[Array]] = []
-    for level in range(3):
-        stacks.append([])
-        for one in used:
-            part = np.zeros((len(one.tables[level]), len(layout)))
-            part[:, [_place(layout, one.columns, k) for k in range(len(one.columns))]] = one.tables[level]
-            stacks[-1].append(part)
-    # Judged, at every width, where noise counts least.
-    scale = np.sqrt(np.mean(np.concatenate([part - part.mean(axis=0) for part in stacks[-1]]) ** 2, axis=0))
-    most = np.abs(np.concatenate(stacks[-1])).max(axis=0)
-    scale = np.where(scale > 1e-6 * most, scale, most)
-    live = [k for k in range(len(layout)) if most[k] > 0]
-    live, names = _merged(live, layout, np.concatenate(stacks[-1]) / np.where(scale > 0, scale, 1.0))
-    blocks = [_compressed([part[:, [0, *live]] / scale[[0, *live]] for part in parts]) for parts in stacks]
-    extra = np.array([bool(name) for name in names])
+@dataclass(frozen=True)
+class Problem:
+    """One balance in blocks of time: triangular factors (target first) at every width, in units of the target's deviation;
+    which terms are beyond the textbook, and the names of all."""
+
+    blocks: tuple[list[Array], ...]
+    extra: NDArray[np.bool_]
+    names: list[tuple[str, ...]]
+
+    @classmethod
+    def of(cls, used: list[Terms]) -> "Problem":
+        """Of the same balance of each record."""
+        # What only the first record shows (the angle) is nothing in the other.
+        layout = used[0].columns
+        stacks: list[list[Array]] = []
+        for level in range(3):
+            stacks.append([])
+            for one in used:
+                part = np.zeros((len(one.tables[level]), len(layout)))
+                part[:, [_place(layout, one.columns, k) for k in range(len(one.columns))]] = one.tables[level]
+                stacks[-1].append(part)
+        # Judged, at every width, where noise counts least.
+        scale = np.sqrt(
+            np.mean(np.concatenate([part - part.mean(axis=0) for part in stacks[-1]]) ** 2, axis=0)
+        )
+        most = np.abs(np.concatenate(stacks[-1])).max(axis=0)
+        scale = np.where(scale > 1e-6 * most, scale, most)
+        live = [k for k in range(len(layout)) if most[k] > 0]
+        live, names = _merged(live, layout, np.concatenate(stacks[-1]) / np.where(scale > 0, scale, 1.0))
+        blocks = [
+            _compressed([part[:, [0, *live]] / scale[[0, *live]] for part in parts]) for parts in stacks
+        ]
+        return cls(tuple(blocks), np.array([bool(name) for name in names]), names)
+
+    def fits(self, used: Sequence[int]) -> list[Array]:
+        """Of some blocks, at every width."""
+        return [fit for own in self.blocks for fit in _fits([own[k] for k in used], self.extra)]
+
+    def errors(self, held: Sequence[int], fits: list[Array]) -> Array:
+        """Squared error (M,) of each fit on other blocks."""
+        rest = np.concatenate([self.blocks[-1][k] for k in held])
+        return np.array([float(np.sum((rest[:, 0] - rest[:, 1:] @ fit) ** 2)) for fit in fits])
+
+    def told(self, fit: Array) -> Kept:
+        """Size (in deviations of the target) and names of the terms beyond the textbook."""
+        return [
+            (float(abs(size)), name) for size, name in zip(fit, self.names, strict=True) if name and size != 0
+        ]
+
+
+def kept(problem: Problem) -> Kept:
+    """What one balance keeps beyond the textbook: the sparsest model that is as good as the best on folds held out."""
+    every = range(BLOCKS)
+    folds = [[k for k in every if k % FOLDS == fold] for fold in range(FOLDS)]
     # (folds, widths x models)
-    errors = np.array([
-        [_error(blocks[-1], fold, fit) for own in blocks for fit in _fits(own, extra, fold)] for fold in range(FOLDS)
-    ])  # fmt: skip
-    fits = [fit for own in blocks for fit in _fits(own, extra)]
+    errors = np.array(
+        [problem.errors(fold, problem.fits([k for k in every if k not in fold])) for fold in folds]
+    )
+    fits = problem.fits(every)
     mean = errors.mean(axis=0)
     worse = errors - errors[:, [int(np.argmin(mean))]]
     as_good = worse.mean(axis=0) <= SURE * worse.std(axis=0, ddof=1) / np.sqrt(FOLDS)
-    chosen = min(np.flatnonzero(as_good), key=lambda k: (np.count_nonzero(fits[k][extra]), mean[k]))
-    return [
-        (float(abs(size)), name) for size, name in zip(fits[chosen], names, strict=True) if name and size != 0
-    ]
+    chosen = min(np.flatnonzero(as_good), key=lambda k: (np.count_nonzero(fits[k][problem.extra]), mean[k]))
+    return problem.told(fits[chosen])
+
+
+def kept_by_most(problem: Problem) -> Kept:
+    """What one balance keeps beyond the textbook in most draws of its blocks, each judged on the blocks not drawn."""
+    rng = np.random.default_rng(0)
+    chosen = []
+    for _ in range(BAGS):
+        drawn = rng.integers(0, BLOCKS, BLOCKS).tolist()
+        fits = problem.fits(drawn)
+        left = sorted(set(range(BLOCKS)) - set(drawn))
+        chosen.append(fits[int(np.argmin(problem.errors(left, fits)))])
+    share = np.mean(np.array(chosen) != 0, axis=0)
+    middle = np.median(chosen, axis=0)
+    return problem.told(np.where(share >= INCLUDED, middle, 0.0))
 
 
 def _place(layout: list[Column], columns: list[Column], k: int) -> int:
@@ -333,20 +394,20 @@ def _compressed(parts: list[Array]) -> list[Array]:
     return [np.linalg.qr(np.concatenate(pieces), mode="r") for pieces in blocks]
 
 
-def _fits(blocks: list[Array], extra: NDArray[np.bool_], without: int | None = None) -> list[Array]:
-    """Coefficients of the textbook alone and with the terms that PySINDy's optimisers choose beside it, one fold left out.
+def _fits(blocks: list[Array], extra: NDArray[np.bool_]) -> list[Array]:
+    """Coefficients of the textbook alone and with the terms that PySINDy's optimisers choose beside it.
 
     Sequentially thresholded least squares, and forward regression for one to FORWARD terms: the first is misled by columns
     that are nearly alike, the second by those that only help together. The textbook's terms are projected out before.
     """
     import pysindy
 
-    table = np.concatenate([block for k, block in enumerate(blocks) if k % FOLDS != without])
+    table = np.concatenate(blocks)
     y, x = table[:, :1], table[:, 1:]
     first = int((~extra).sum())
     left = np.linalg.qr(np.column_stack([x[:, ~extra], x[:, extra], y]), mode="r")[first:, first:]
     candidates, target = left[:, :-1], left[:, -1:]
-    # A term that this fold never visits has nothing to be scaled by.
+    # A term that these blocks never visit has nothing to be scaled by.
     visited = np.linalg.norm(candidates, axis=0) > 0
     supports = [np.zeros(int(extra.sum()), bool)]
     if visited.any():
@@ -371,12 +432,6 @@ def _fits(blocks: list[Array], extra: NDArray[np.bool_], without: int | None = N
         fits.append(np.zeros(len(extra)))
         fits[-1][free] = np.linalg.lstsq(x[:, free], y[:, 0], rcond=1e-10)[0]
     return fits
-
-
-def _error(blocks: list[Array], fold: int, coefficients: Array) -> float:
-    """Squared error of a fold's blocks."""
-    held = np.concatenate([block for k, block in enumerate(blocks) if k % FOLDS == fold])
-    return float(np.sum((held[:, 0] - held[:, 1:] @ coefficients) ** 2))
 
 
 def whiteness(paths: list[Path], motor: Path, lags: int = 25) -> dict[str, Any]:
