@@ -42,20 +42,15 @@ def forward(paths: list[Path], motor: Path) -> dict[str, Any]:
     here = stand(fitted_of(estimate(file, runs)))
     entered: list[Score] = []
     while len(entered) < MOST:
-        least = aicc(here.unlikely, len(here.fitted.prior.keys), samples)
-        best: tuple[float, Score, Standing] | None = None
-        for score, fitted in _fits(here, [one.name for one in entered]):
-            try:
-                there = settled(fitted)
-                value = aicc(residual_of(here, there).unlikely, len(there.prior.keys), samples)
-                if value < (best[0] if best else least):
-                    best = value, score, stand(there)
-            except ModelError:
-                continue
-        if best is None:
+        left: list[tuple[float, Score | None, Fitted]] = [(here.unlikely, None, here.fitted)]
+        left += [
+            (_unlikely(here, fit), score, fit) for score, fit in _fits(here, [one.name for one in entered])
+        ]
+        _, score, fitted = min(left, key=lambda one: aicc(one[0], len(one[2].prior.keys), samples))
+        if score is None:
             break
-        entered.append(best[1])
-        here = best[2]
+        entered.append(score)
+        here = stand(settled(fitted))
     names = [score.name for score in entered]
     return {
         "verdict": "named" if names else "adequate",
@@ -64,6 +59,13 @@ def forward(paths: list[Path], motor: Path) -> dict[str, Any]:
         "equation": entered[0].entry.hypothesis.equation if entered else None,
         "candidates": [{"name": name} for name in names],
     }
+
+
+def _unlikely(here: Standing, fitted: Fitted) -> float:
+    try:
+        return residual_of(here, fitted).unlikely
+    except ModelError:
+        return float("inf")
 
 
 def _fits(here: Standing, entered: list[str]) -> list[tuple[Score, Fitted]]:
