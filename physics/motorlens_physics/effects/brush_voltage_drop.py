@@ -33,7 +33,6 @@ class BrushVoltageDrop(Effect):
         bounds=(1e-4, 100.0),
         prior=0.02,
         of="current",
-        role="width",
     )
     m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0, role="knee")
 
