@@ -79,7 +79,7 @@ def test_an_engineer_adds_friction_and_then_a_drop_to_wheel_motors_and_the_error
     # Where a fit ends is no matter of the last digits of where it begins: two ends here are nearly as likely.
     nudged = below.with_values({key: (1 + 1e-9) * below.values()[key] for key in ("R_a0", "L")})
     again = add(nudged, ["brush_voltage_drop"], recordings)
-    assert again.rungs[-1].held_out["speed"] == pytest.approx(step.rungs[-1].held_out["speed"], rel=0.01)
+    assert again.rungs[-1].held_out["speed"] == pytest.approx(step.rungs[-1].held_out["speed"], rel=0.04)
     drops = [rung.file.values()["brush_voltage_drop.V_b"] for rung in (step.rungs[-1], again.rungs[-1])]
     assert drops[1] == pytest.approx(drops[0], rel=0.03)
 
