@@ -1,12 +1,16 @@
 """Channels that were recorded late are found, moved and said, and no others; the plant is an integrator of its own."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
+from helpers.recordings import REGBOT_LEFT, needs_recordings, regbot
 
+from motorlens_physics.effects.brush_voltage_drop import BrushVoltageDrop
+from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.estimate import delays
 from motorlens_physics.estimate.delays import delays_of, gains_of_lags, likeliest_lag
 from motorlens_physics.estimate.estimate import Estimate, estimate
@@ -17,12 +21,13 @@ from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import prepare, prepare_all
 from motorlens_physics.estimate.weighed import Errors, Frame, begun, needed
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import Knowledge, MotorFile
+from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file
 from motorlens_physics.parameter import Rated
-from motorlens_physics.recording import Recording
+from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.sensitivity import Linearisation
 from motorlens_physics.sensor_model import sensor_catalogue
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
     torque_Nm=RATED["load_torque"], rise_K=RATED["temperature"],
@@ -248,3 +253,18 @@ def test_what_is_gained_beside_a_larger_gain_is_of_the_same_delay(
     monkeypatch.setattr(delays, "gains_of_lags", gains)
     found = likeliest_lag(begun(start_model(FILE, runs), runs, prior), prior)
     assert found is not None and found.samples == 191
+
+
+@needs_recordings
+@pytest.mark.fit
+@pytest.mark.parametrize("robot", [3, 4])
+def test_robots_of_one_make_come_late_by_as_many_samples(robot: int) -> None:
+    """A skew that has come to a sample is the next sample, also where the model leaves more than noise; 0.3 ms are left."""
+    file = read_motor_file(EXAMPLES / "hidden_effect" / "regbot.toml")
+    effects = tuple(effect.typical(file.rated) for effect in (BrushVoltageDrop, CoulombFriction))
+    file = replace(file, motor=replace(file.motor, effects=effects))
+    runs = prepare_all([read_recording(regbot(robot), REGBOT_LEFT)], file)
+    found = estimate(file, runs)
+    assert dict(found.runs[0].late) == {"current": 1, "speed": 2}
+    skews = [found.fit.model.own[0][f"skew.{channel}"] for channel in ("current", "speed")]
+    assert all(0.0 < skew < 0.5 * runs[0].period_s for skew in skews)
