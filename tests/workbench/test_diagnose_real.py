@@ -87,6 +87,19 @@ def test_an_engineer_adds_friction_and_then_a_drop_to_wheel_motors_and_the_error
 @pytest.mark.long
 @needs_recordings
 @pytest.mark.fit
+def test_two_frictions_that_are_one_model_without_a_temperature_are_told_together():
+    """Blocks of time scatter here, so that either is hardly likelier than none beside the model that has it."""
+    runs = [FOLDER / "fra233" / f"studyV4_{name}_1.csv.gz" for name in ("Chirp", "Stair")]
+    found, verdict = diagnosed(runs, EXAMPLES / "real_recordings" / "fra233.toml")
+    one, other = "coulomb_friction", "hysteresis_iron_loss"
+    assert {one, other} <= set(verdict.groups[0])
+    probability = next(rivals.probability for rivals in found.outcome.rivals if one in rivals.probability)
+    assert 0.5 < probability[one] / probability[other] < 2.0
+
+
+@pytest.mark.long
+@needs_recordings
+@pytest.mark.fit
 def test_the_iron_of_a_thruster_warms_its_winding_late_and_no_sensor_is_blamed():
     """A brushless motor of 700 g with one thermocouple at its winding: its iron is no part of the textbook's winding."""
     thermal = FOLDER / "ksu_thermal"

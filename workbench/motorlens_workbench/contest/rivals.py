@@ -64,11 +64,14 @@ def rivals_in(book: Ledger, fitted: Fitted, accepted: Accepted) -> Rivals:
     # Its own column is per standard deviation of its prior, that of a rival per typical size.
     typical = itself.in_units(abs(accepted.hypothesis.typical) / prior.sd[key])
     scores[name] = replace(typical, entry=replace(itself.entry, hypothesis=accepted.hypothesis))
-    # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival.
+    # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival; what explains as
+    # much as the accepted one is, however little that is.
+    as_much = (1 - CRITERIA.alike) * itself.gain
     weights = {
         other: log_bayes_factor(score, scatter)
         for other, score in scores.items()
-        if score.entry.hypothesis.named and (other == name or log_bayes_factor(score, itself.scatter) > 0)
+        if score.entry.hypothesis.named
+        and (other == name or score.gain >= as_much or log_bayes_factor(score, itself.scatter) > 0)
     }
     for other, less in accepted.beside.items():
         weights[other] = max(weights.get(other, -np.inf), weights[name] + less)
