@@ -120,22 +120,23 @@ def _slim(answer: dict[str, Any]) -> dict[str, Any]:
 
 def instead(case: Case, out: str) -> dict[str, Any]:
     """What each of the usual methods says of a case."""
-    import baselines
-    import forward
+    import aicc
+    import sindy
+    import whiteness
 
     directory = Path(out)
     answers: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="hidden-") as scratch:
         made = prepared(case, directory, Path(scratch))
         for name, method in (
-            ("pysindy", lambda: baselines.sindy(made.recordings, made.motor, weak=False)),
-            ("pysindy weak", lambda: baselines.sindy(made.recordings, made.motor, weak=True)),
+            ("pysindy", lambda: sindy.sindy(made.recordings, made.motor, weak=False)),
+            ("pysindy weak", lambda: sindy.sindy(made.recordings, made.motor, weak=True)),
             (
                 "pysindy ensemble",
-                lambda: baselines.sindy(made.recordings, made.motor, weak=True, keep=baselines.kept_by_most),
+                lambda: sindy.sindy(made.recordings, made.motor, weak=True, keep=sindy.kept_by_most),
             ),
-            ("AICc forward", lambda: forward.forward(made.recordings, made.motor)),
-            ("whiteness", lambda: baselines.whiteness(made.recordings, made.motor)),
+            ("AICc forward", lambda: aicc.forward(made.recordings, made.motor)),
+            ("whiteness", lambda: whiteness.whiteness(made.recordings, made.motor)),
         ):
             start = time.monotonic()
             answers[name] = {"answer": method(), "seconds": time.monotonic() - start}
@@ -361,7 +362,7 @@ def print_score(arguments: argparse.Namespace) -> None:
     rows = methods["diagnose"]
     compare(methods)
     if len(methods) > 1:
-        import baselines
+        import sindy
 
         # The same recordings for all: those with a speed, and nothing hidden that PySINDy has no term for.
         answered = set.intersection(*({row[0]["case"]["id"] for row in own} for own in methods.values()))
@@ -369,7 +370,7 @@ def print_score(arguments: argparse.Namespace) -> None:
             row[0]["case"]["id"]
             for row in rows
             if row[0]["case"]["channels"] != "voltage_current"
-            and not any(effect["name"] in baselines.BEYOND for effect in row[0]["hidden"])
+            and not any(effect["name"] in sindy.BEYOND for effect in row[0]["hidden"])
         }
         print(f"{len(answered & fair)} recordings that every method can be asked about:\n")
         compare({

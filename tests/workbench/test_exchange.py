@@ -1,5 +1,6 @@
 """A name that has entered a model of recordings by another plant: what stands in its place in the end."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 from helpers.textbook import textbook_on, with_name
 
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest import exchange
+from motorlens_workbench.contest import exchange, rivals
 from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
+from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing, stand
 from motorlens_workbench.verdict import _groups
@@ -55,6 +57,25 @@ def test_what_was_put_in_stays_and_nothing_is_counted_against_it_that_is_less_li
     likely = rivals_of(then, other).probability
     assert sum(likely.get(name, 0.0) for name in ALIKE) > 0.95
     assert set(other.instead) <= ALIKE, "nothing else seems likelier, so nothing else was fitted"
+
+
+@pytest.mark.fit
+def test_what_explains_as_much_is_a_rival_where_hardly_anything_is_likelier_than_nothing(
+    bare: Standing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where blocks of time scatter by as much as a name explains, it does not pay for having said its size."""
+    here, one = entered(bare, "coulomb_friction")
+    before = rivals_of(here, one).probability
+
+    def scattered(*of):
+        score = own_score(*of)
+        return replace(score, scatter=score.gain)
+
+    monkeypatch.setattr(rivals, "own_score", scattered)
+    likely = rivals_of(here, one).probability
+    assert set(likely) == ALIKE
+    odds, then = (of["hysteresis_iron_loss"] / of["coulomb_friction"] for of in (before, likely))
+    assert 0.5 < odds < 2.0 and 0.5 < then < 2.0
 
 
 # Twice the logarithm by which each of 64 blocks of time is likelier with the rival: all alike; all of it in one block.

@@ -34,7 +34,7 @@ REALIGNED = 4
 def moved(point: Weighed, prior: Prior, progress: Callable[[str], None]) -> Weighed:
     """The point with channels moved whose skew has come to a sample, as long as that makes the recording likelier.
 
-    By whatever it does: a skew and a whole sample less of it are the same delay, and there is no more to be fitted.
+    However little likelier: a skew, and a sample with what is left of it, are the same delay, and nothing more is fitted.
     """
     for _ in range(REALIGNED):
         other = realigned(point, prior)

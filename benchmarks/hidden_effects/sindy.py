@@ -1,5 +1,4 @@
-"""What a user would try instead of `motorlens diagnose`: PySINDy, plain, in weak form and in an ensemble; forward choice by
-AICc; a test of whiteness.
+"""What a user would try instead of `motorlens diagnose`: PySINDy, plain, in weak form, and that in an ensemble.
 
 PySINDy gets all that a user who knows motors would give it. The three balances stand as they are written on paper (the
 voltage over L di/dt, R i, ke w; the current over J dw/dt, b w and the load; the rate of the temperature over heat and
@@ -13,11 +12,9 @@ answer; columns that are copies of each other are a group.
 
 Beyond it: gains of sensors and heat of friction (any coefficient absorbs them), and recordings without a speed.
 
-The ensemble chooses so from each of many draws of blocks of time, and keeps what most choose (Fasel et al. 2022,
-doi:10.1098/rspa.2021.0904); its own bags would draw samples, which are no independent ones.
-
-Whiteness gets the textbook as `motorlens` fits it by simulation, and the test of Ljung and Box (1978) on what it leaves.
-Forward choice gets the fits of `motorlens` and its noise, and decides by AICc alone, as PEtab Select does (`forward`).
+The ensemble takes, from each of many draws of blocks of time, the model that is best on those not drawn, and keeps what most
+of these models have (Fasel et al. 2022, doi:10.1098/rspa.2021.0904); PySINDy's own bags would draw samples, which are no
+independent ones.
 """
 
 import tomllib
@@ -235,43 +232,8 @@ def terms(record: Record, motor: dict[str, Any], weak: bool) -> dict[str, Terms]
     }
 
 
+# Size, in deviations of the target, and names of each term that is kept.
 Kept = list[tuple[float, tuple[str, ...]]]
-
-
-def sindy(
-    paths: list[Path], motor: Path, weak: bool, keep: "Callable[[Problem], Kept] | None" = None
-) -> dict[str, Any] | None:
-    """PySINDy's answer: the terms it keeps beyond the textbook, the strongest first; None where the speed is missing."""
-    keep = kept if keep is None else keep
-    records = [read(path) for path in sorted(paths)]
-    if any("w" not in record.d for record in records):
-        return None
-    plate = tomllib.loads(motor.read_text(encoding="utf-8"))
-    shown = [terms(record, plate, weak) for record in records]
-    found: list[tuple[float, tuple[str, ...], str]] = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for equation in ("electrical", "mechanical", "thermal"):
-            # A fast record is too short to warm.
-            used = [
-                own[equation]
-                for record, own in zip(records, shown, strict=True)
-                if equation in own and (equation != "thermal" or record.slow)
-            ]
-            if used:
-                found += [(size, names, equation) for size, names in keep(Problem.of(used))]
-    found.sort(reverse=True)
-    groups: list[list[str]] = []
-    for _, names, _ in found:
-        groups += [list(names)] if not any(set(names) & set(group) for group in groups) else []
-    verdict = "adequate" if not groups else "named" if all(len(group) == 1 for group in groups) else "group"
-    return {
-        "verdict": verdict,
-        "chosen": [groups[0][0]] if groups else [],
-        "groups": groups,
-        "equation": found[0][2] if found else None,
-        "candidates": [{"name": name} for group in groups for name in group],
-    }
 
 
 @dataclass(frozen=True)
@@ -354,6 +316,41 @@ def kept_by_most(problem: Problem) -> Kept:
     return problem.told(np.where(share >= INCLUDED, middle, 0.0))
 
 
+def sindy(
+    paths: list[Path], motor: Path, weak: bool, keep: Callable[[Problem], Kept] = kept
+) -> dict[str, Any] | None:
+    """PySINDy's answer: the terms it keeps beyond the textbook, the strongest first; None where the speed is missing."""
+    records = [read(path) for path in sorted(paths)]
+    if any("w" not in record.d for record in records):
+        return None
+    plate = tomllib.loads(motor.read_text(encoding="utf-8"))
+    shown = [terms(record, plate, weak) for record in records]
+    found: list[tuple[float, tuple[str, ...], str]] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for equation in ("electrical", "mechanical", "thermal"):
+            # A fast record is too short to warm.
+            used = [
+                own[equation]
+                for record, own in zip(records, shown, strict=True)
+                if equation in own and (equation != "thermal" or record.slow)
+            ]
+            if used:
+                found += [(size, names, equation) for size, names in keep(Problem.of(used))]
+    found.sort(reverse=True)
+    groups: list[list[str]] = []
+    for _, names, _ in found:
+        groups += [list(names)] if not any(set(names) & set(group) for group in groups) else []
+    verdict = "adequate" if not groups else "named" if all(len(group) == 1 for group in groups) else "group"
+    return {
+        "verdict": verdict,
+        "chosen": [groups[0][0]] if groups else [],
+        "groups": groups,
+        "equation": found[0][2] if found else None,
+        "candidates": [{"name": name} for group in groups for name in group],
+    }
+
+
 def _place(layout: list[Column], columns: list[Column], k: int) -> int:
     """Where a column of a record stands among those of the first."""
     if columns is layout:
@@ -432,37 +429,3 @@ def _fits(blocks: list[Array], extra: NDArray[np.bool_]) -> list[Array]:
         fits.append(np.zeros(len(extra)))
         fits[-1][free] = np.linalg.lstsq(x[:, free], y[:, 0], rcond=1e-10)[0]
     return fits
-
-
-def whiteness(paths: list[Path], motor: Path, lags: int = 25) -> dict[str, Any]:
-    """Ljung and Box (1978), doi:10.1093/biomet/65.2.297, on what the fitted textbook leaves, at 1 % over all channels.
-
-    `statistic` is the largest mean square correlation over the lags, times the samples: 1 for white noise.
-    """
-    from scipy.stats import chi2
-
-    from motorlens_physics.estimate.estimate import estimate
-    from motorlens_physics.estimate.run import prepare_all
-    from motorlens_physics.motor_file import read_motor_file
-    from motorlens_physics.recording import read_recording
-
-    file = read_motor_file(str(motor))
-    runs = prepare_all([read_recording(str(path)) for path in sorted(paths)], file)
-    found = estimate(file, runs)
-    tests = []
-    for run, residual in zip(found.runs, found.fit.residuals, strict=True):
-        for channel, e in zip(run.channels, residual.T, strict=True):
-            n, e = len(e), e - e.mean()
-            r = np.array([e[:-k] @ e[k:] for k in range(1, lags + 1)]) / (e @ e)
-            tests.append((float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1)))), channel))
-    statistic, channel = max(tests)
-    equation = {"current": "electrical", "speed": "mechanical", "temperature": "thermal"}[channel]
-    found_any = chi2.sf(statistic, lags) < 0.01 / len(tests)
-    return {
-        "verdict": "unknown" if found_any else "adequate",
-        "chosen": [],
-        "groups": [],
-        "equation": equation if found_any else None,
-        "candidates": [],
-        "statistic": statistic / lags,
-    }

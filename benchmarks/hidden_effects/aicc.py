@@ -1,5 +1,7 @@
-"""Forward choice by AICc, as PEtab Select does (https://github.com/PEtab-dev/petab_select): of all names the one with which
-the fitted model's criterion is least enters, and so on, until none makes it less.
+"""What a user would try instead of `motorlens diagnose`: forward choice by AICc.
+
+As PEtab Select does (https://github.com/PEtab-dev/petab_select): of all names the one with which the fitted model's
+criterion is least enters, and so on, until none makes it less.
 
 Criterion: twice the negative logarithmic likelihood of what the model leaves under the likeliest noise, and what Hurvich
 and Tsai (1989, doi:10.1093/biomet/76.2.297) add for its parameters. Engine, effects and noise are those of `motorlens`; what
@@ -25,10 +27,10 @@ from motorlens_workbench.standing import Standing, residual_of, stand, under
 MOST = 3
 
 
-def aicc(unlikely: float, parameters: int, samples: int) -> float:
+def criterion(unlikely: float, parameters: int, samples: int) -> float:
     """The criterion.
 
-    >>> aicc(100.0, 2, 6)
+    >>> criterion(100.0, 2, 6)
     108.0
     """
     return unlikely + 2 * parameters + 2 * parameters * (parameters + 1) / (samples - parameters - 1)
@@ -46,7 +48,7 @@ def forward(paths: list[Path], motor: Path) -> dict[str, Any]:
         left += [
             (_unlikely(here, fit), score, fit) for score, fit in _fits(here, [one.name for one in entered])
         ]
-        _, score, fitted = min(left, key=lambda one: aicc(one[0], len(one[2].prior.keys), samples))
+        _, score, fitted = min(left, key=lambda one: criterion(one[0], len(one[2].prior.keys), samples))
         if score is None:
             break
         entered.append(score)
