@@ -70,7 +70,8 @@ class Quiet(NamedTuple):
 
 
 def as_they_ran(point: Weighed, prior: Prior) -> tuple[tuple[Run, ...], ...]:
-    """The runs with inputs that held between samples, or not, as is likeliest; and with all a sample later or earlier.
+    """The runs with inputs that held between samples, or not, as is likeliest; and, if that is likelier, with all a sample
+    later or earlier, or with a speed that is the mean since the sample before.
 
     A run that stays as it was is the same object.
 
@@ -79,40 +80,44 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[tuple[Run, ...], ...]:
         prior: the free parameters.
 
     Returns:
-        the runs as they are likeliest with no channel moved, and with channels moved if that is likelier beyond chance.
+        the runs as they are likeliest with no channel moved and the speed at its sample; and with channels moved, or a mean
+        speed, if that is likelier beyond chance.
     """
     ways = [_ways_of(point, prior, r) for r in range(len(point.parts))]
     return tuple(zip(*ways, strict=True))
 
 
 def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
-    """One run as it is likeliest without its channels moved, and with."""
+    """One run as it is likeliest with its channels as they are, and moved or a mean."""
     part, inflation = point.parts[r], point.tempered().inflation
     quiet, ambient = _quiet(part.run, part.noise), part.run.inputs.hold[2]
+    shows = (False, True) if "speed" in part.run.channels else (False,)
     ends = {
-        (held, moved): end
+        (mean, held, moved): end
+        for mean in shows
         for held in (False, True)
         for moved, end in _ends(
-            point, prior, r, quiet, (held, held, ambient), (-1, 0, 1), straight=True
+            point, prior, r, quiet, (held, held, ambient), (-1, 0, 1), mean=mean, straight=True
         ).items()
     }
     if not np.isfinite([end.cost for end in ends.values()]).any():
         return part.run, part.run
-    held = min((False, True), key=lambda held: ends[held, 0].cost)
+    held = min((False, True), key=lambda held: ends[False, held, 0].cost)
     load = held
     # That inputs did not run alike is one thing more.
     if "load_torque" in part.run.known:
         alike, other = (
-            _ends(point, prior, r, quiet, (held, one, ambient), (0,), straight=False)[0]
+            _ends(point, prior, r, quiet, (held, one, ambient), (0,), mean=False, straight=False)[0]
             for one in (held, not held)
         )
         load = not held if _won(alike, other, inflation) > needed(1) else held
-    still = part.run.holding((held, load, ambient))
+    still = part.run.holding((held, load, ambient)).showing(False)
     way = min(ends, key=lambda way: ends[way].cost)
-    # That all is late is one thing more than how inputs ran.
-    if _won(ends[held, 0], ends[way], inflation) <= needed(len(ends)):
+    # That all is late, or a speed a mean, is one thing more than how inputs ran.
+    if _won(ends[False, held, 0], ends[way], inflation) <= needed(len(ends)):
         return still, still
-    return still, _moved(part.run.holding((way[0], way[0], ambient)), way[1])
+    mean, held, late = way
+    return still, _moved(part.run.holding((held, held, ambient)).showing(mean), late)
 
 
 def gained_without_noise(point: Weighed, other: Weighed, prior: Prior) -> float:
@@ -169,7 +174,11 @@ def otherwise(point: Weighed, prior: Prior) -> tuple[tuple[float, ...], Array]:
         if "load_torque" in part.run.known:
             ways |= {(not voltage, load), (voltage, not load)}
         quiet = _quiet(part.run, part.noise)
-        ends = {way: _ends(point, prior, r, quiet, (*way, ambient), (0,), straight=False)[0] for way in ways}
+        mean = part.run.mean_speed
+        ends = {
+            way: _ends(point, prior, r, quiet, (*way, ambient), (0,), mean=mean, straight=False)[0]
+            for way in ways
+        }
         here = ends.pop((voltage, load))
         # What cannot be simulated is compared with nothing.
         able = {way: end for way, end in ends.items() if np.isfinite([here.cost, end.cost]).all()}
@@ -204,9 +213,10 @@ def _ends(
     hold: tuple[bool, bool, bool],
     late: Sequence[int],
     *,
+    mean: bool,
     straight: bool,
 ) -> dict[int, End]:
-    """Where a run leads whose inputs ran this way, by how many samples all of it was late.
+    """Where a run leads whose inputs ran this way and whose speed is a mean or not, by how many samples all was late.
 
     Without skews (`straight`), which would make up for a voltage that ran otherwise. A way that cannot be simulated costs
     infinitely much.
@@ -218,7 +228,8 @@ def _ends(
     model = replace(point.model, held=held).with_values(none)
     moves = [tuple(0 if c == "temperature" else samples for c in part.run.channels) for samples in late]
     try:
-        seen = _seen(model, part.run.holding(hold), r, part, quiet, prior, mine, moves)
+        run = part.run.holding(hold).showing(mean)
+        seen = _seen(model, run, r, part, quiet, prior, mine, moves)
     except ModelError:
         return dict.fromkeys(late, End(np.inf, np.zeros(len(prior.keys)), np.zeros(1)))
     return {samples: _at_best(model, [one], prior) for samples, one in zip(late, seen, strict=True)}

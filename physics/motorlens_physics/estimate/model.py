@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.forcing import SETTLED
+from motorlens_physics.estimate.mean_speed import mean_since_last
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -111,15 +112,14 @@ def predict(model: Model, run: Run, r: int) -> tuple[Trajectory, Array]:
     Raises:
         ModelError: the simulation cannot go on.
     """
+    motor, inputs, start = motor_of(model, run), inputs_of(model, run, r), start_of(model, r)
     # With the machine code that sensitivities need as well.
-    trajectory, _ = sensitivities(
-        motor_of(model, run),
-        inputs_of(model, run, r),
-        start_of(model, r),
-        (),
-        tolerance=model.tolerance,
-        smooth=True,
-    )
+    if run.mean_speed:
+        trajectory, _, linear = differentiate(
+            motor, inputs, start, (), tolerance=model.tolerance, smooth=True
+        )
+        return trajectory, shown(model, run, r, true_outputs(model, run, trajectory, linear))
+    trajectory, _ = sensitivities(motor, inputs, start, (), tolerance=model.tolerance, smooth=True)
     return trajectory, shown(model, run, r, _stack(run, trajectory))
 
 
@@ -208,20 +208,23 @@ def sensitivities_of(
     trajectory, derivative, linear = differentiate(
         motor, inputs, start, of_motor, tolerance=model.tolerance, smooth=True
     )
-    y = _stack(run, trajectory)
+    y = true_outputs(model, run, trajectory, linear)
     columns = np.zeros((len(y), len(run.channels), len(keys)))
     at: slice | list[int] = [j for j, name in enumerate(local) if name in of_motor]
     if at == list(range(len(of_motor))):
         at = slice(len(of_motor))  # written in one go, not one by one
     for c, channel in enumerate(run.channels if of_motor else ()):
         columns[:, c, at] = derivative[:, linear.states.index(STATE_OF[channel])]
+        if channel == "speed" and run.mean_speed:
+            speed, current = (derivative[:, linear.states.index(state)] for state in ("w", "i"))
+            columns[:, c, at] = _mean_speed(model, run, linear, speed, current)
     outside = [
         key for key in keys if _is_sensor(model, key) and _sensor(model, key).channel not in run.channels
     ]
     for j, name in enumerate(local):
         if name == "load":
             braked = linear.respond(torque_Nm=-np.ones((len(y), 1)))
-            columns[:, :, j] = _stack_states(run, braked)[:, :, 0]
+            columns[:, :, j] = changed_outputs(model, run, linear, braked)[:, :, 0]
         elif name == "ambient" and "temperature" in run.channels:
             columns[:, run.channels.index("temperature"), j] = 1.0
     columns = through_sensors(model, run, r, columns)
@@ -243,7 +246,9 @@ def sensitivities_of(
                 torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
                 held=inputs.hold,
             )
-            columns[:, :, j] = through_sensors(model, run, r, _stack_states(run, moved))[:, :, 0]
+            columns[:, :, j] = through_sensors(
+                model, run, r, changed_outputs(model, run, linear, moved)
+            )[:, :, 0]
     return trajectory, out, columns, linear
 
 
@@ -262,7 +267,7 @@ def response_to_inputs(
     acted = _acted(model, run, voltage + voltage_V, load + load_torque_Nm)
     added = np.column_stack(acted) - np.column_stack(_acted(model, run, voltage, load))
     moved = linear.respond(voltage_V=added[:, :1], torque_Nm=-added[:, 1:], held=model.held[r])
-    return through_sensors(model, run, r, _stack_states(run, moved))[:, :, 0]
+    return through_sensors(model, run, r, changed_outputs(model, run, linear, moved))[:, :, 0]
 
 
 def as_shown(model: Model, run: Run, voltage_V: Array, load_torque_Nm: Array) -> tuple[Array, Array]:
@@ -302,8 +307,28 @@ def _stack(run: Run, trajectory: Trajectory) -> Array:
     return y
 
 
-def _stack_states(run: Run, states: Mapping[str, Array]) -> Array:
-    return np.stack([states[STATE_OF[channel]] for channel in run.channels], axis=1)
+def true_outputs(model: Model, run: Run, trajectory: Trajectory, linear: Linearisation) -> Array:
+    """(N, C) what the channels measure, before their sensors."""
+    y = _stack(run, trajectory)
+    if run.mean_speed:
+        states = trajectory.states
+        y[:, run.channels.index("speed")] = _mean_speed(model, run, linear, states["w"], states["i"])
+    return y
+
+
+def changed_outputs(model: Model, run: Run, linear: Linearisation, states: Mapping[str, Array]) -> Array:
+    """(N, C, m) by how much it changes if the states change (N, m) so much."""
+    out = np.stack([states[STATE_OF[channel]] for channel in run.channels], axis=1)
+    if run.mean_speed:
+        out[:, run.channels.index("speed")] = _mean_speed(model, run, linear, states["w"], states["i"])
+    return out
+
+
+def _mean_speed(model: Model, run: Run, linear: Linearisation, speed: Array, current: Array) -> Array:
+    motor = model.file.motor
+    spun = linear.matrices[:, linear.states.index("w"), linear.states.index("i")]
+    decay_s = motor.L / motor.R_a0
+    return mean_since_last(run.inputs.time_s, speed, current, spun, decay_s, held=run.inputs.hold[0])
 
 
 def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:

@@ -53,7 +53,7 @@ def prior_of(prior: Prior, model: Model, pieces: Sequence[Run], which: Sequence[
 
 
 def as_found(run: Run, piece: Run) -> Run:
-    """A run with its channels moved and its inputs held as those of its piece."""
+    """A run with its channels moved, its inputs held and its speed taken as those of its piece."""
     for channel, samples in piece.late.items():
         run = run.delayed(channel, samples - run.late.get(channel, 0))
-    return run.holding(piece.inputs.hold)
+    return run.holding(piece.inputs.hold).showing(piece.mean_speed)

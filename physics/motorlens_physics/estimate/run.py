@@ -82,6 +82,7 @@ class Run:
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
         unmoved: the run before its channels were moved; None if none was.
+        mean_speed: whether the speed shows its mean since the sample before, as one that is counted from an encoder does.
     """
 
     name: str
@@ -107,6 +108,7 @@ class Run:
     late: Mapping[str, int] = field(default_factory=dict)
     noise: "Noise | None" = None
     unmoved: "Run | None" = None
+    mean_speed: bool = False
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -154,8 +156,12 @@ class Run:
 
     @property
     def as_recorded(self) -> "Run":
-        """Before anything was found of its timing and its noise."""
-        return replace(self.unmoved or self, corrections=None, noise=None)
+        """Before anything was found of when it was sampled and of its noise; what its speed shows stays."""
+        return replace(self.unmoved or self, corrections=None, noise=None, mean_speed=self.mean_speed)
+
+    def showing(self, mean_speed: bool) -> "Run":
+        """With a speed that is the mean since the sample before, or that at the sample."""
+        return self if self.mean_speed == mean_speed else replace(self, mean_speed=mean_speed)
 
     def corrected(self, errors: Array) -> "Run":
         """With what the inputs' sensors are taken to have shown too little (N, 2), V and N m."""

@@ -115,7 +115,10 @@ class Timing:
                 continue
             none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
             held = tuple(run.inputs.hold for run in runs)
-            more = any(dict(a.late) != dict(b.late) for a, b in zip(runs, point.runs, strict=True))
+            more = any(
+                dict(a.late) != dict(b.late) or a.mean_speed > b.mean_speed
+                for a, b in zip(runs, point.runs, strict=True)
+            )
             try:
                 # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
                 on, afresh = (

@@ -1,6 +1,6 @@
 """A run linearised about a model, and how what the model lacks would show in its measured channels."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.estimate.model import (
     Model,
+    changed_outputs,
     error_of,
     inputs_of,
     sensitivities_of,
     shown,
     through_sensors,
+    true_outputs,
     with_sensor,
 )
-from motorlens_physics.estimate.run import STATE_OF, Run
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensitivity import Linearisation
 from motorlens_physics.sensor_model import SensorModel
 from motorlens_physics.simulation import Trajectory
@@ -71,15 +73,14 @@ class Line:
             for part in (forcing.voltage, forcing.torque, forcing.heat)
         )
         states = self.linear.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat, held=held)
-        return through_sensors(self.model, self.run, self.r, self._stacked(states))
+        moved = changed_outputs(self.model, self.run, self.linear, states)
+        return through_sensors(self.model, self.run, self.r, moved)
 
     def of_sensor(self, sensor: SensorModel) -> Array:
         """(N, C, 1) what a sensor's fault of this size would change; zero where its channel was not recorded."""
         run, model = self.run, self.model
         if sensor.channel in run.channels:
-            y = np.column_stack([self.trajectory.states[STATE_OF[c]] for c in run.channels])
-            if "temperature" in run.channels:
-                y[:, run.channels.index("temperature")] += self.trajectory.inputs.ambient_C
+            y = true_outputs(model, run, self.trajectory, self.linear)
             before = shown(model, run, self.r, y)
             return np.asarray(shown(with_sensor(model, sensor), run, self.r, y) - before)[:, :, None]
         if sensor.channel not in ("voltage", *run.known):
@@ -91,6 +92,3 @@ class Line:
             np.zeros(len(self.error)),
         )
         return self.of_forcing(moved, held=here.hold)
-
-    def _stacked(self, states: Mapping[str, Array]) -> Array:
-        return np.stack([states[STATE_OF[channel]] for channel in self.run.channels], axis=1)
