@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 BRIEFEST = 1e-6
 
 
-def mean_since_last(time_s: Array, speed: Array, current: Array, spun: Array, decay_s: float, *, held: bool) -> Array:
+def mean_since_last(
+    time_s: Array, speed: Array, current: Array, spun: Array, decay_s: float, *, held: bool
+) -> Array:
     """The mean speed since the sample before; at the first the speed there.
 
     Args:
@@ -46,6 +48,4 @@ def _bend(decay: Array) -> Array:
     """r^2 - r/2 coth(1/(2 r)), by its series where that cancels."""
     slow = np.maximum(decay, 10.0)
     half = np.minimum(decay, 10.0)
-    return np.where(
-        decay > 10.0, -1 / 12 + 1 / (720 * slow**2), half**2 - 0.5 * half / np.tanh(0.5 / half)
-    )
+    return np.where(decay > 10.0, -1 / 12 + 1 / (720 * slow**2), half**2 - 0.5 * half / np.tanh(0.5 / half))

@@ -246,9 +246,9 @@ def sensitivities_of(
                 torque_Nm=-(other.load_torque_Nm - inputs.load_torque_Nm)[:, None] / step,
                 held=inputs.hold,
             )
-            columns[:, :, j] = through_sensors(
-                model, run, r, changed_outputs(model, run, linear, moved)
-            )[:, :, 0]
+            columns[:, :, j] = through_sensors(model, run, r, changed_outputs(model, run, linear, moved))[
+                :, :, 0
+            ]
     return trajectory, out, columns, linear
 
 

@@ -2,6 +2,10 @@
 
 The Kalman filter makes white what noise of the inputs and a slow torque leave in all channels. It takes the sensors' own
 noise as white; what that leaves of colour in the innovations, an autoregression takes out.
+
+Not of noise that is blue, of which there is least at low frequencies: a count of an encoder that comes too late for one
+sample comes in the next, and their sum is as if it had come in time. To believe that, a model would have to be right to as
+many digits; and nothing that a model lacks looks so, for it lasts. Blue noise is taken as white, with all its power.
 """
 
 import numpy as np
@@ -10,6 +14,7 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.run import Run
 from motorlens_workbench.evidence.whitening import Whitener, fit_whitener
+from motorlens_workbench.evidence.whitening import white as without_colour
 
 Array = NDArray[np.float64]
 
@@ -25,7 +30,14 @@ def coloured(run: Run, white: Array, used: int) -> Whitener:
         white: its innovations, in their standard deviations.
         used: parameters already spent on them.
     """
-    return fit_whitener(white, run.valid, np.full(white.shape[1], SMALLEST), used)
+    found = fit_whitener(white, run.valid, np.full(white.shape[1], SMALLEST), used)
+    lasts = ~found.blue
+    if lasts.all():
+        return found
+    power = np.maximum(np.sqrt(np.mean(white[run.valid] ** 2, axis=0)), SMALLEST)
+    if not lasts.any():
+        return without_colour(power)
+    return coloured(run, white[:, lasts], used).among(lasts, power)
 
 
 def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise, used: int) -> float:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 CHOICES = ((0, False), (2, False), (6, False), (2, True), (6, True), (16, True))
 # Rows over which the longer pasts reach (first-order filters).
 MEMORIES = (10.0, 40.0, 160.0, 640.0)
+# Frequencies that stand for all of them in a mean: spectra of so few lags are smooth.
+FREQUENCIES = 200
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,33 @@ class Whitener:
     def order(self) -> int:
         """How many past samples are used one by one."""
         return len(self.coefficients) - 1
+
+    @property
+    def blue(self) -> NDArray[np.bool_]:
+        """(C,) channels of which there is less than their mean power at the lowest frequencies, and more at the highest."""
+        lowest, highest = (self._power(turn) for turn in (0.0, np.pi))
+        turns = np.pi * (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES
+        mean = np.mean([self._power(turn) for turn in turns], axis=0)
+        return np.asarray((self.order > 0) & (lowest < mean) & (mean < highest))
+
+    def _power(self, turn: float) -> Array:
+        """(C,) spectral density of each channel at an angle per row, over that of white noise of 1."""
+        lag = np.exp(-1j * turn * np.arange(self.order + 1))
+        keep = np.exp(-1 / np.array(self.memories, dtype=np.float64))
+        mean = (1 - keep) * np.exp(-1j * turn) / (1 - keep * np.exp(-1j * turn))
+        taken = np.tensordot(lag, self.coefficients, axes=1) + np.tensordot(mean, self.memory, axes=1)
+        response = np.linalg.inv(np.eye(len(self.sigma)) - taken) * self.sigma
+        return np.asarray(np.sum(np.abs(response) ** 2, axis=1))
+
+    def among(self, which: NDArray[np.bool_], sigma: Array) -> "Whitener":
+        """Of some of C channels (C,), of which the others are white, with `sigma` (C,)."""
+        at, channels = np.flatnonzero(which), len(which)
+        coefficients = np.zeros((self.order + 1, channels, channels))
+        memory = np.zeros((len(self.memories), channels, channels))
+        coefficients[:, at[:, None], at], memory[:, at[:, None], at] = self.coefficients, self.memory
+        sigma = sigma.copy()
+        sigma[at] = self.sigma
+        return Whitener(coefficients, sigma, self.memories, memory)
 
     def __call__(self, y: Array) -> Array:
         """Whiten (N, C) or (N, C, m): prediction errors in units of sigma; the first `order` rows are 0."""
