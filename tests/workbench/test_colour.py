@@ -10,7 +10,7 @@ from motorlens_physics.estimate.noise import first_noise
 from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
-from motorlens_workbench.evidence.colour import gain_of
+from motorlens_workbench.evidence.colour import coloured, gain_of
 from motorlens_workbench.evidence.whitening import fit_whitener
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
@@ -37,3 +37,23 @@ def test_what_lies_between_two_levels_is_no_colour_of_the_noise(step: float) -> 
     # logarithms of that; white noise is worth a few.
     expected = -ROWS * (np.log(1 - REMAINS**2) + np.log(1 / 1.25))
     assert won < 30 if step > NOISE * np.sqrt(12) else won == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_counts_that_come_late_and_are_made_up_for_are_no_colour(counted: bool) -> None:
+    """A speed whose noise is the difference of that of its counts beside a current whose noise lasts; or their sum."""
+    rng = np.random.default_rng(3)
+    fresh, slow = rng.standard_normal((2, ROWS + 1))
+    for k in range(1, ROWS + 1):
+        slow[k] = REMAINS * slow[k - 1] + np.sqrt(1 - REMAINS**2) * slow[k]
+    time = np.arange(ROWS) * 0.01
+    left = np.column_stack([slow[1:], fresh[1:] - fresh[:-1] if counted else fresh[1:] + fresh[:-1]])
+    channels = {"voltage": np.sign(np.sin(time)), "current": left[:, 0], "speed": left[:, 1]}
+    run = prepare(Recording("counted.csv", time, channels), read_motor_file(MOTOR))
+    whitener = coloured(run, left, 0)
+    assert np.any(whitener.coefficients[:, 1]) != counted
+    won = gain_of(run, left, whitener, first_noise(run, np.full((ROWS, 2), NOISE), 1.0), 0)
+    # What lasts in the current is worth as much either way; in the speed, half of its power to order 6.
+    of_current = -ROWS * np.log(1 - REMAINS**2)
+    of_speed = 0.0 if counted else ROWS * np.log(2 / (1 + 1 / 8))
+    assert won == pytest.approx(of_current + of_speed, rel=0.15)

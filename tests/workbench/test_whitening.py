@@ -112,3 +112,34 @@ def test_quantisation_step_of_a_converter(step):
     )
     assert quantisation_step(y) == pytest.approx(step, rel=1e-6)
     assert quantisation_step(rng.standard_normal(1000)) == 0.0
+
+
+@pytest.mark.parametrize(("before", "blue"), [(-1.0, True), (-0.5, True), (0.0, False), (0.5, False)])
+def test_noise_is_blue_that_cancels_from_one_row_to_the_next(before: float, blue: bool) -> None:
+    """A moving average of two rows, beside white noise: at frequency f its power is 1 + b^2 + 2 b cos(2 pi f)."""
+    fresh = np.random.default_rng(7).standard_normal((20_001, 2))
+    y = np.column_stack([fresh[1:, 0] + before * fresh[:-1, 0], fresh[1:, 1]])
+    whitener = fit_whitener(y, np.ones(len(y), bool), np.zeros(2))
+    assert whitener.blue.tolist() == [blue, False]
+    if blue:
+        assert whitener._power(np.pi)[0] == pytest.approx((1 - before) ** 2, rel=0.25)
+        assert whitener._power(0.0)[0] < 0.3
+
+
+def test_what_swings_is_not_blue_nor_what_lasts() -> None:
+    rng, t = np.random.default_rng(8), np.arange(8000)
+    hum = np.sin(0.6 * t) + 0.3 * rng.standard_normal(len(t))
+    drift = 0.02 * np.cumsum(rng.standard_normal(len(t))) + rng.standard_normal(len(t))
+    for y in (hum, drift):
+        whitener = fit_whitener(y[:, None], np.ones(len(y), bool), np.zeros(1))
+        assert whitener.order > 0 and not whitener.blue.any()
+
+
+def test_a_whitener_among_other_channels_is_the_same_and_leaves_them() -> None:
+    y = coloured(4000, 5)
+    whitener = fit_whitener(y, np.ones(len(y), bool), np.zeros(2))
+    among = whitener.among(np.array([True, False, True]), np.array([9.0, 2.0, 9.0]))
+    between = np.random.default_rng(6).standard_normal(len(y))
+    found = among(np.column_stack([y[:, 0], between, y[:, 1]]))
+    assert np.array_equal(found[:, [0, 2]], whitener(y))
+    assert found[whitener.order :, 1] == pytest.approx(between[whitener.order :] / 2.0)

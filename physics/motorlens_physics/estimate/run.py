@@ -201,6 +201,14 @@ class Run:
         told = " and ".join(f"{count} samples of {channel}" for channel, count in self.saturated.items())
         return f"{self.name}: {told} lie at the end of the converter's range; they were left out."
 
+    @property
+    def averaging(self) -> str:
+        """That its speed is a mean, for the reader."""
+        return (
+            f"{self.name}: each speed is taken as the mean since the sample before, as one that is counted from an encoder "
+            "is; the recording is likelier so."
+        )
+
     def part(self, rows: slice, file: MotorFile) -> "Run":
         """Some consecutive samples as a run of its own, as they are: none is averaged with another."""
         inputs, measured = self.inputs.part(rows), self.measured[rows]
