@@ -21,8 +21,8 @@ CHOICES = ((0, False), (2, False), (6, False), (2, True), (6, True), (16, True))
 MEMORIES = (10.0, 40.0, 160.0, 640.0)
 # Frequencies that stand for all of them in a mean: spectra of so few lags are smooth.
 FREQUENCIES = 200
-# A share of the mean power that is much less: what a fit finds in white noise differs from it by a tenth or so.
-SCARCE = 0.5
+# Times as much power, which is much more: what a fit finds in white noise differs by a tenth or so.
+STEEP = 1.5
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class Whitener:
 
     @property
     def blue(self) -> NDArray[np.bool_]:
-        """(C,) channels of which there is much less than their mean power at the lowest frequencies, and more at the highest."""
+        """(C,) channels with more power at the highest frequencies than in the mean, and much more than at the lowest."""
         lowest, highest = (self._power(turn) for turn in (0.0, np.pi))
         turns = np.pi * (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES
         mean = np.mean([self._power(turn) for turn in turns], axis=0)
-        return np.asarray((lowest < SCARCE * mean) & (mean < highest))
+        return np.asarray(highest > np.maximum(mean, STEEP * lowest))
 
     def _power(self, turn: float) -> Array:
         """(C,) spectral density of each channel at an angle per row, over that of white noise of 1."""
