@@ -113,6 +113,24 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
         load = not held if _won(alike, other, inflation) > needed(1) else held
     still = part.run.holding((held, load, ambient)).showing(False)
     way = min(ends, key=lambda way: ends[way].cost)
+    if way[0]:
+        # A mean is half a sample late, which brings any speed nearer that is late by more.
+        alone = (
+            _ends(
+                point,
+                prior,
+                r,
+                quiet,
+                (held, held, ambient),
+                (-1, 1),
+                mean=False,
+                straight=True,
+                alone="speed",
+            ).values()
+            for held in (False, True)
+        )
+        if min(end.cost for some in alone for end in some) < ends[way].cost:
+            way = min((way for way in ends if not way[0]), key=lambda way: ends[way].cost)
     # That all is late, or a speed a mean, is one thing more than how inputs ran.
     if _won(ends[False, held, 0], ends[way], inflation) <= needed(len(ends)):
         return still, still
@@ -215,8 +233,10 @@ def _ends(
     *,
     mean: bool,
     straight: bool,
+    alone: str | None = None,
 ) -> dict[int, End]:
-    """Where a run leads whose inputs ran this way and whose speed is a mean or not, by how many samples all was late.
+    """Where a run leads whose inputs ran this way and whose speed is a mean or not, by how many samples all was late,
+    or one channel alone.
 
     Without skews (`straight`), which would make up for a voltage that ran otherwise. A way that cannot be simulated costs
     infinitely much.
@@ -226,7 +246,8 @@ def _ends(
     none = {f"{name}@{r}": 0.0 for name in point.model.own[r] if straight and name.startswith("skew.")}
     held = tuple(hold if k == r else h for k, h in enumerate(point.model.held))
     model = replace(point.model, held=held).with_values(none)
-    moves = [tuple(0 if c == "temperature" else samples for c in part.run.channels) for samples in late]
+    late_too = {alone} if alone else set(part.run.channels) - {"temperature"}
+    moves = [tuple(samples if c in late_too else 0 for c in part.run.channels) for samples in late]
     try:
         run = part.run.holding(hold).showing(mean)
         seen = _seen(model, run, r, part, quiet, prior, mine, moves)
