@@ -135,11 +135,16 @@ def test_what_swings_is_not_blue_nor_what_lasts() -> None:
         assert whitener.order > 0 and not whitener.blue.any()
 
 
-def test_a_whitener_among_other_channels_is_the_same_and_leaves_them() -> None:
-    y = coloured(4000, 5)
-    whitener = fit_whitener(y, np.ones(len(y), bool), np.zeros(2))
+MEMORY = np.random.default_rng(1).uniform(-0.1, 0.1, (2, 2, 2))
+LAGS = np.stack([np.array([[0.0, 0.0], [0.5, 0.0]]), np.array([[0.6, 0.1], [0.0, -0.3]])])
+
+
+@pytest.mark.parametrize(
+    "whitener", [white(np.array([0.5, 3.0])), Whitener(LAGS, np.array([0.5, 3.0]), (3.0, 10.0), MEMORY)]
+)
+def test_a_whitener_among_other_channels_is_the_same_and_leaves_them(whitener: Whitener) -> None:
+    y, between = coloured(400, 5), np.random.default_rng(6).standard_normal(400)
     among = whitener.among(np.array([True, False, True]), np.array([9.0, 2.0, 9.0]))
-    between = np.random.default_rng(6).standard_normal(len(y))
     found = among(np.column_stack([y[:, 0], between, y[:, 1]]))
     assert np.array_equal(found[:, [0, 2]], whitener(y))
     assert found[whitener.order :, 1] == pytest.approx(between[whitener.order :] / 2.0)

@@ -69,7 +69,9 @@ class Whitener:
         at, channels = np.flatnonzero(which), len(which)
         coefficients = np.zeros((self.order + 1, channels, channels))
         memory = np.zeros((len(self.memories), channels, channels))
-        coefficients[:, at[:, None], at], memory[:, at[:, None], at] = self.coefficients, self.memory
+        coefficients[:, at[:, None], at] = self.coefficients
+        if self.memories:
+            memory[:, at[:, None], at] = self.memory
         sigma = sigma.copy()
         sigma[at] = self.sigma
         return Whitener(coefficients, sigma, self.memories, memory)
