@@ -7,7 +7,7 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 from scipy.integrate import quad
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.mean_speed import mean_since_last
+from motorlens_physics.estimate.mean_speed import bend_of, mean_since_last
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -32,27 +32,31 @@ def test_the_mean_beside_a_current_that_settles(decay: float) -> None:
         return t + decay * float(np.expm1(-t / decay))
 
     settled = -float(np.expm1(-1 / decay))
-    found = mean_since_last(
-        np.array([0.0, 1.0]), np.array([0.0, speed(1.0)]), np.array([0.0, settled]), np.array([decay * settled]), decay,
-        held=True,
-    )  # fmt: skip
+    bend, slope = bend_of(np.array([0.0, 1.0]), np.array([decay * settled]), decay, held=True)
+    found = mean_since_last(np.array([0.0, speed(1.0)]), np.array([0.0, settled]), bend)
     assert found[1] == pytest.approx(quad(speed, 0.0, 1.0)[0], rel=1e-6)
     # A plain mean of both ends is off by more.
     assert abs(0.5 * speed(1.0) - found[1]) > 1e-3 * speed(1.0)
+    # In proportion to what a current does in a sample if it stays: 1 rad/s here.
+    more, less = (
+        bend_of(np.array([0.0, 1.0]), np.array([-other * np.expm1(-1 / other)]), other, held=True)[0][0]
+        for other in (decay * 1.001, decay / 1.001)
+    )
+    assert slope[0] == pytest.approx((more - less) / (2 * np.log(1.001)), rel=1e-4, abs=1e-9)
 
 
 def test_the_mean_beside_a_current_that_runs_linearly() -> None:
     """From 0 to 1 A in a sample of 1 s: the speed is a parabola, whose mean is a third of its end."""
-    spun, decay = 0.01 * (1 - np.exp(-100.0)), 0.01
-    found = mean_since_last(
-        np.array([0.0, 1.0]), np.array([0.0, 0.5]), np.array([0.0, 1.0]), np.array([spun]), decay, held=False
-    )
+    spun = np.array([0.01 * (1 - np.exp(-100.0))])
+    bend, _ = bend_of(np.array([0.0, 1.0]), spun, 0.01, held=False)
+    found = mean_since_last(np.array([0.0, 0.5]), np.array([0.0, 1.0]), bend)
     assert found[1] == pytest.approx(1 / 6, rel=1e-9)
 
 
 def test_a_rotor_that_is_held_has_no_speed_however_the_current_jumps() -> None:
     still, jump = np.zeros((3, 2)), np.cumsum(np.ones((3, 2)), axis=0)
-    assert not mean_since_last(np.arange(3.0), still, jump, np.zeros(2), 0.3, held=True).any()
+    bend, _ = bend_of(np.arange(3.0), np.zeros(2), 0.3, held=True)
+    assert not mean_since_last(still, jump, bend).any()
 
 
 def fitted(period_s: float, counted: bool, held: bool, seed: int) -> Estimate:

@@ -7,7 +7,7 @@ drove the motor, not of what was recorded (Carroll, Ruppert, Stefanski and Crain
 Models, doi:10.1201/9781420010138, chapter 2).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -80,15 +80,16 @@ def as_they_ran(point: Weighed, prior: Prior) -> tuple[tuple[Run, ...], ...]:
         prior: the free parameters.
 
     Returns:
-        the runs as they are likeliest with no channel moved and the speed at its sample; and with channels moved, or a mean
-        speed, if that is likelier beyond chance.
+        the runs as they are likeliest with no channel moved and the speed at its sample; with channels moved; and with a
+        mean speed. The last two only where that is likelier beyond chance, else as the one before. Where a speed is a mean
+        and stays one, it is one in all three.
     """
     ways = [_ways_of(point, prior, r) for r in range(len(point.parts))]
     return tuple(zip(*ways, strict=True))
 
 
-def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
-    """One run as it is likeliest with its channels as they are, and moved or a mean."""
+def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run, Run]:
+    """One run as it is likeliest with its channels as they are, with all moved, and with a mean."""
     part, inflation = point.parts[r], point.tempered().inflation
     quiet, ambient = _quiet(part.run, part.noise), part.run.inputs.hold[2]
     shows = (False, True) if "speed" in part.run.channels else (False,)
@@ -101,7 +102,7 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
         ).items()
     }
     if not np.isfinite([end.cost for end in ends.values()]).any():
-        return part.run, part.run
+        return part.run, part.run, part.run
     held = min((False, True), key=lambda held: ends[False, held, 0].cost)
     load = held
     # That inputs did not run alike is one thing more.
@@ -112,30 +113,32 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run]:
         )
         load = not held if _won(alike, other, inflation) > needed(1) else held
     still = part.run.holding((held, load, ambient)).showing(False)
-    way = min(ends, key=lambda way: ends[way].cost)
-    if way[0]:
+
+    def likeliest(shows_mean: bool) -> Run | None:
+        """With its channels moved, or a mean; None if that is not likelier beyond chance."""
+        ways = [way for way in ends if way[0] == shows_mean]
+        way = min(ways, key=lambda way: ends[way].cost, default=(False, held, 0))
+        # That all is late, or a speed a mean, is one thing more than how inputs ran.
+        if _won(ends[False, held, 0], ends[way], inflation) <= needed(len(ends)):
+            return None
+        mean, holds, late = way
         # A mean is half a sample late, which brings any speed nearer that is late by more.
-        alone = (
-            _ends(
-                point,
-                prior,
-                r,
-                quiet,
-                (held, held, ambient),
-                (-1, 1),
-                mean=False,
-                straight=True,
-                alone="speed",
+        if mean and min(end.cost for end in alone()) < ends[way].cost:
+            return None
+        return _moved(part.run.holding((holds, holds, ambient)).showing(mean), late)
+
+    def alone() -> Iterator[End]:
+        """The speed alone a sample later or earlier."""
+        for holds in (False, True):
+            hold = (holds, holds, ambient)
+            yield from _ends(
+                point, prior, r, quiet, hold, (-1, 1), mean=False, straight=True, alone="speed"
             ).values()
-            for held in (False, True)
-        )
-        if min(end.cost for some in alone for end in some) < ends[way].cost:
-            way = min((way for way in ends if not way[0]), key=lambda way: ends[way].cost)
-    # That all is late, or a speed a mean, is one thing more than how inputs ran.
-    if _won(ends[False, held, 0], ends[way], inflation) <= needed(len(ends)):
-        return still, still
-    mean, held, late = way
-    return still, _moved(part.run.holding((held, held, ambient)).showing(mean), late)
+
+    moved, counted = likeliest(False) or still, likeliest(True)
+    if counted is not None and part.run.mean_speed:
+        return counted, counted, counted
+    return still, moved, counted or moved
 
 
 def gained_without_noise(point: Weighed, other: Weighed, prior: Prior) -> float:

@@ -110,29 +110,39 @@ class Timing:
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         # That inputs hold looks as if all were late by a part of a sample, and is asked first.
-        for runs in as_they_ran(point, self.prior):
-            if all(one is run for one, run in zip(runs, point.runs, strict=True)):
-                continue
-            none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
-            held = tuple(run.inputs.hold for run in runs)
-            more = any(
-                dict(a.late) != dict(b.late) or a.mean_speed > b.mean_speed
-                for a, b in zip(runs, point.runs, strict=True)
+        still, moved, mean = as_they_ran(point, self.prior)
+        held = self._if_they_ran_so(point, still)
+        if held is not point:
+            return held
+        later = point if moved == still else self._if_they_ran_so(point, moved)
+        # That all came late, and that a speed is a mean, may look alike from here.
+        counted = point if mean == moved else self._if_they_ran_so(point, mean)
+        if later is point or counted is point:
+            return counted if later is point else later
+        return counted if gained_without_noise(later, counted, self.prior) > 0 else later
+
+    def _if_they_ran_so(self, point: Weighed, runs: tuple[Run, ...]) -> Weighed:
+        """Where runs lead whose inputs ran otherwise; the point if they are the same, or that is not likelier."""
+        if all(one is run for one, run in zip(runs, point.runs, strict=True)):
+            return point
+        none = {key: 0.0 for key in self.prior.keys if key.startswith("skew.")}
+        held = tuple(run.inputs.hold for run in runs)
+        more = any(
+            dict(a.late) != dict(b.late) or a.mean_speed > b.mean_speed
+            for a, b in zip(runs, point.runs, strict=True)
+        )
+        try:
+            # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
+            on, afresh = (
+                self.near(replace(start, held=held), runs)
+                for start in (point.model.with_values(none), self.begin)
             )
-            try:
-                # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
-                on, afresh = (
-                    self.near(replace(start, held=held), runs)
-                    for start in (point.model.with_values(none), self.begin)
-                )
-                other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
-                won = gained_without_noise(point, other, self.prior)
-            except ModelError:
-                # Inputs that lead where no motor can be simulated did not run so.
-                continue
-            if won > (needed(1) if more else 0.0):
-                return other
-        return point
+            other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
+            won = gained_without_noise(point, other, self.prior)
+        except ModelError:
+            # Inputs that lead where no motor can be simulated did not run so.
+            return point
+        return other if won > (needed(1) if more else 0.0) else point
 
     def _later(self, point: Weighed) -> Weighed:
         """With the channel moved that is late beyond chance, if any is."""
