@@ -1,5 +1,7 @@
 """A speed that is counted: the mean since the sample before, by an integrator that is not the package's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import plain_motor
@@ -7,7 +9,9 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 from scipy.integrate import quad
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.mean_speed import bend_of, mean_since_last
+from motorlens_physics.estimate.model import predict, sensitivities_of
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -92,3 +96,26 @@ def test_a_counted_speed_is_taken_as_a_mean_and_another_is_not(share: float, hel
         for key in ("L", "R_a0", "J", "ke"):
             assert abs(values[key] - TYPICAL[key]) < 4 * sd[key], (key, values[key], sd[key])
         assert abs(values["skew.speed@0"]) < max(4 * sd["skew.speed@0"], 0.03 * period_s)
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("held", [True, False])
+def test_how_a_mean_answers_to_every_parameter_is_told(held: bool) -> None:
+    """Central differences of what is shown, in samples of three time constants of the winding."""
+    time = np.arange(400) * 3 * DECAY_S
+    voltage = np.repeat(np.random.default_rng(2).uniform(-240, 240, 10), 40)
+    file = MotorFile("plate", Motor(), PLATE)
+    channels = {"voltage": voltage, "current": 0.01 * voltage, "speed": 0.5 * voltage}
+    (run,) = prepare_all([Recording("counted.csv", time, channels)], file)
+    run = run.holding((held, held, True)).showing(True)
+    model = replace(start_model(file, [run]), held=(run.inputs.hold,), tolerance=1e-9)
+    keys = ("R_a0", "L", "ke", "J", "b", "skew.speed@0")
+    _, _, columns, _ = sensitivities_of(model, run, 0, keys)
+    for k, key in enumerate(keys):
+        value = model.values()[key]
+        step = 1e-4 * value or 1e-6
+        up, down = (predict(model.with_values({key: value + sign * step}), run, 0)[1] for sign in (1, -1))
+        told = (up - down)[:, 1] / (2 * step)
+        # How far the current falls within a sample is taken as of the winding alone, without what it induces.
+        share = 0.025 if key == "L" else 0.005
+        assert columns[:, 1, k] == pytest.approx(told, abs=share * np.abs(told).max()), key
