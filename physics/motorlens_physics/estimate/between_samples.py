@@ -119,7 +119,8 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run, Run]:
         ways = [way for way in ends if way[0] == shows_mean]
         way = min(ways, key=lambda way: ends[way].cost, default=(False, held, 0))
         # That all is late, or a speed a mean, is one thing more than how inputs ran.
-        if _won(ends[False, held, 0], ends[way], inflation) <= needed(len(ends)):
+        tried = len(ends) if shows_mean else len(ways)
+        if _won(ends[False, held, 0], ends[way], inflation) <= needed(tried):
             return None
         mean, holds, late = way
         # A mean is half a sample late, which brings any speed nearer that is late by more.

@@ -119,7 +119,7 @@ class Timing:
         counted = point if mean == moved else self._if_they_ran_so(point, mean)
         if later is point or counted is point:
             return counted if later is point else later
-        return counted if gained_without_noise(later, counted, self.prior) > 0 else later
+        return counted if gained_without_noise(later, counted, self.prior) > needed(1) else later
 
     def _if_they_ran_so(self, point: Weighed, runs: tuple[Run, ...]) -> Weighed:
         """Where runs lead whose inputs ran otherwise; the point if they are the same, or that is not likelier."""
