@@ -1,5 +1,7 @@
 """What one recording claims: no more than it knows where its errors do not tell how noisy its inputs are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.plain_fleet import TYPICAL, WANDERS, World, simulated, write
@@ -55,3 +57,18 @@ def test_a_load_that_truly_shakes_is_no_noise(tmp_path):
     found = estimate(file, prepare_all([read_recording(tmp_path / "a.csv")], file))
     (part,) = summary._point(found.fit.model, found, found.fit.prior.keys).parts
     assert part.noise.disturbances[LOAD] < 0.05 * part.noise.most[LOAD] / MOST_OF_LOOKS
+
+
+def test_what_a_speed_shows_is_known_where_an_estimate_goes_on(tmp_path):
+    path, file = tmp_path / "a.csv", read_motor_file("mellah2016")
+    write(World(1, 1).recorded(0, 0, SEED), path)
+    runs = prepare_all([read_recording(path)], file)
+    found = estimate(file, runs)
+    for mean in (False, True):
+        end = summary.ended(replace(found, runs=(found.runs[0].showing(mean),)))
+        _, (run,) = summary.where_it_ended(end, file, runs, found.fit.prior)
+        assert run.mean_speed == mean
+    # A file of before says nothing of it.
+    del end["mean_speed"]
+    _, (run,) = summary.where_it_ended(end, file, runs, found.fit.prior)
+    assert not run.mean_speed

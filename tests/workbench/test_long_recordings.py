@@ -5,6 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.free_run import FreeRun
+from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.cli import main
@@ -50,3 +54,21 @@ def test_means_of_blocks(monkeypatch):
     assert found.time_s.tolist() == [1.0, 4.0, 7.0]
     assert found.channels["voltage"].tolist() == [5 / 3, 50 / 3, 149 / 3]
     assert found.channels["shaft"].tolist() == [0.0, 1.0, 1.0]
+
+
+@pytest.mark.fit
+def test_a_speed_that_is_a_mean_in_the_liveliest_part_is_one_along_all_of_it():
+    file, time = read_motor_file(MODEL), np.arange(600) * 0.02
+    voltage = np.repeat(np.random.default_rng(1).uniform(-200, 200, 12), 50)
+    runs = prepare_all(
+        [Recording("r", time, {"voltage": voltage, "current": voltage, "speed": voltage})], file
+    )
+    model = start_model(file, runs)
+    trajectory, shown = predict(model, runs[0], 0)
+    lively = FreeRun(runs[0].delayed("speed", 1).showing(True), trajectory, shown, np.ones(2))
+    found = long_recordings._along(model, runs[0], 0, lively)
+    assert found.run.late == {"speed": 1} and found.run.mean_speed
+    speed, largest = trajectory.states["w"], np.abs(trajectory.states["w"]).max()
+    # Halfway between both ends, but for how the speed bends within a sample.
+    assert found.predicted[1:, 1] == pytest.approx(0.5 * (speed[1:] + speed[:-1]), abs=0.03 * largest)
+    assert np.abs(found.predicted[:, 1] - speed).max() > 0.1 * largest

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 # Shortest electrical time constant, in samples, that is told from none: below, nothing bends.
 BRIEFEST = 1e-6
-# Longest, in samples, for which a closed form keeps ten digits.
+# Longest, in samples, that the closed form is used for: there the series of two terms has seven digits of it.
 SLOW = 10.0
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.free_run import FreeRun, free_runs
 from motorlens_physics.estimate.model import Model, predict
+from motorlens_physics.estimate.pieces import as_found
 from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
@@ -76,10 +77,7 @@ def beside(
 
 
 def _along(model: Model, run: Run, r: int, lively: FreeRun) -> FreeRun:
-    """All of a run, with the delays and floor of its liveliest part."""
-    found = lively.run
-    for channel, samples in found.late.items():
-        run = run.delayed(channel, samples)
-    run = replace(run.holding(found.inputs.hold), noise=found.noise)
+    """All of a run, with the timing and floor of its liveliest part."""
+    run = replace(as_found(run, lively.run), noise=lively.run.noise)
     trajectory, predicted = predict(model, run, r)
     return FreeRun(run, trajectory, predicted, lively.floor)

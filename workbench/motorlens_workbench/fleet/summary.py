@@ -147,6 +147,7 @@ def ended(found: Estimate) -> dict[str, Any]:
         "values": {key: model.values()[key] for key in found.fit.prior.keys},
         "held": list(model.held[0]),
         "late": dict(run.late),
+        "mean_speed": run.mean_speed,
         "noise": {
             "channels": run.noise.channels.tolist(), "disturbances": run.noise.disturbances.tolist(),
             "lasts_s": run.noise.lasts_s.tolist(),
@@ -166,6 +167,8 @@ def where_it_ended(
         prior: the parameters that are free now.
     """
     (run,), told = runs, end["noise"]
+    # Files of before speeds were taken as means do not say so.
+    run = run.showing(end.get("mean_speed", False))
     for channel, samples in end["late"].items():
         run = run.delayed(channel, samples)
     channels, disturbances, lasts_s = (
