@@ -110,15 +110,17 @@ class Timing:
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         # That inputs hold looks as if all were late by a part of a sample, and is asked first.
-        still, moved, mean = as_they_ran(point, self.prior)
+        still, shifted, mean = as_they_ran(point, self.prior)
         held = self._if_they_ran_so(point, still)
         if held is not point:
             return held
-        later = point if moved == still else self._if_they_ran_so(point, moved)
+        later = point if shifted == still else self._if_they_ran_so(point, shifted)
         # That all came late, and that a speed is a mean, may look alike from here.
-        counted = point if mean == moved else self._if_they_ran_so(point, mean)
+        counted = point if mean == shifted else self._if_they_ran_so(point, mean)
         if later is point or counted is point:
             return counted if later is point else later
+        # Of each its best: a mean is half a sample late, and a delay in its place may be of one sample more.
+        later, counted = (moved(one, self.prior, self.progress) for one in (later, counted))
         return counted if gained_without_noise(later, counted, self.prior) > needed(1) else later
 
     def _if_they_ran_so(self, point: Weighed, runs: tuple[Run, ...]) -> Weighed:
