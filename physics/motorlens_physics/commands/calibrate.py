@@ -103,6 +103,7 @@ def _lines(found: "Calibration") -> list[str]:
     lines += said.sentences
     lines += [run.saturation for run in found.runs if run.saturated]
     lines += [run.averaging for run in found.runs if run.mean_speed]
+    lines += [run.spiking for run in found.runs if run.spikes]
     lines += [delay.sentence for delay in found.delays]
     lines += found.not_told
     for run, sizes in zip(found.runs, found.residual_sd, strict=True):

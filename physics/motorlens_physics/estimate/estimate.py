@@ -10,10 +10,11 @@ independent of the errors that are left, whatever their weights, so that the est
 weights make it efficient.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_physics.estimate.between_samples import otherwise
 from motorlens_physics.estimate.fit import CONVERGED, NEAR, Fit, fit, foretold, inverse, start_model, white
@@ -27,6 +28,7 @@ from motorlens_physics.estimate.shaft import followed
 from motorlens_physics.estimate.timing import Timing, moved
 from motorlens_physics.estimate.weighed import (
     Array,
+    Errors,
     Weighed,
     at,
     from_noise,
@@ -102,6 +104,11 @@ def estimate(
         near(runs, prior, model, free=held is None, progress=progress), model, runs, prior, progress
     )
     point, gram, left = _tempered(point, prior, progress)
+    # What a spike of an input did to the simulation would pass for spikes of the channels.
+    for spikes in (Errors.spikes_of_inputs, Errors.spikes):
+        alone = _without(spikes, point, prior)
+        if alone is not point:
+            point, gram, left = _tempered(alone, prior, progress)
     found = _concluded(point, prior, gram, left)
     if held is None:
         chances, spread = otherwise(point, prior)
@@ -236,6 +243,17 @@ def _tempered(
     if tempered.inflation > 1.0:
         point, gram, left = minimised(tempered, prior, progress, outliers=True)
     return point, gram, left
+
+
+def _without(
+    spikes: Callable[[Errors], Mapping[str, NDArray[np.bool_]]], point: Weighed, prior: Prior
+) -> Weighed:
+    """The best parameters without samples that stand alone; itself if there are none."""
+    runs = [part.run.without(spikes(part)) for part in point.parts]
+    if all(run is part.run for run, part in zip(runs, point.parts, strict=True)):
+        return point
+    parts = tuple(replace(part, run=run, used=run.there) for run, part in zip(runs, point.parts, strict=True))
+    return at(point.model, replace(point, parts=parts, inflation=1.0), prior)
 
 
 def _with_shaft(near: Weighed, tolerance: float, prior: Prior) -> Weighed:

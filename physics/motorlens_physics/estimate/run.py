@@ -79,6 +79,7 @@ class Run:
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
         hung: channel -> when it first and last hung, in s; these samples are not valid.
         saturated: channel -> how many of its samples are at the end of its converter's range; these are not valid.
+        spikes: channel or input -> how many of its samples stand alone as no motor makes or follows them, and were left out.
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
         unmoved: the run before its channels were moved; None if none was.
@@ -105,6 +106,7 @@ class Run:
     shaft: Array | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     saturated: Mapping[str, int] = field(default_factory=dict)
+    spikes: Mapping[str, int] = field(default_factory=dict)
     late: Mapping[str, int] = field(default_factory=dict)
     noise: "Noise | None" = None
     unmoved: "Run | None" = None
@@ -194,6 +196,48 @@ class Run:
             late=late,
             unmoved=unmoved,
         )
+
+    def without(self, spikes: Mapping[str, NDArray[np.bool_]]) -> "Run":
+        """With samples (N,) of channels and inputs left out that stand alone; an input runs on from those beside them."""
+        spikes = {name: alone for name, alone in spikes.items() if alone.any()}
+        if not spikes:
+            return self
+        unmoved = self.unmoved
+        if unmoved is not None:
+            unmoved = unmoved.without(
+                {
+                    name: _earlier(alone, -lag) & _inside(len(alone), -lag)
+                    for name, alone in spikes.items()
+                    for lag in [self.late.get(name, 0)]
+                }
+            )
+        time, there, measured, inputs = (
+            self.inputs.time_s,
+            self.there.copy(),
+            self.measured.copy(),
+            self.inputs,
+        )
+        for name, alone in spikes.items():
+            if name in self.channels:
+                c = self.channels.index(name)
+                there[:, c] &= ~alone
+                measured[:, c] = _bridged(time, measured[:, c], alone)
+            elif name == "voltage":
+                inputs = replace(inputs, voltage_V=_bridged(time, inputs.voltage_V, alone))
+            else:
+                inputs = replace(inputs, load_torque_Nm=_bridged(time, inputs.load_torque_Nm, alone))
+        counts = dict(self.spikes)
+        for name, alone in spikes.items():
+            counts[name] = counts.get(name, 0) + int(alone.sum())
+        return replace(
+            self, inputs=inputs, measured=measured, there=there, valid=np.all(there, axis=1), spikes=counts, unmoved=unmoved
+        )  # fmt: skip
+
+    @property
+    def spiking(self) -> str:
+        """Which samples were left out because they stand alone, for the reader."""
+        told = " and ".join(f"{count} samples of {name}" for name, count in self.spikes.items())
+        return f"{self.name}: {told} stand alone, as no motor makes or follows them; they were left out."
 
     @property
     def saturation(self) -> str:
@@ -423,6 +467,11 @@ def _least_bit(y: Array) -> float:
     # A converter toggles between two levels where the signal is steady, however few levels are used; a command does not.
     toggles = noise_sd(y, step) > TOGGLES * step
     return step if toggles or COARSEST * step <= np.max(np.abs(y)) else 0.0
+
+
+def _bridged(time_s: Array, y: Array, out: NDArray[np.bool_]) -> Array:
+    """(N,) with the samples that are `out` between those beside them."""
+    return np.where(out, np.interp(time_s, time_s[~out], y[~out]), y)
 
 
 def _earlier(y: NDArray[Any], samples: int) -> NDArray[Any]:

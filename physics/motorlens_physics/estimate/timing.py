@@ -119,8 +119,6 @@ class Timing:
         counted = point if mean == shifted else self._if_they_ran_so(point, mean)
         if later is point or counted is point:
             return counted if later is point else later
-        # Of each its best: a mean is half a sample late, and a delay in its place may be of one sample more.
-        later, counted = (moved(one, self.prior, self.progress) for one in (later, counted))
         return counted if gained_without_noise(later, counted, self.prior) > needed(1) else later
 
     def _if_they_ran_so(self, point: Weighed, runs: tuple[Run, ...]) -> Weighed:
@@ -140,6 +138,8 @@ class Timing:
                 for start in (point.model.with_values(none), self.begin)
             )
             other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
+            # Each way at its best: where one is half a sample late, another may be by a whole one more.
+            other = moved(other, self.prior, self.progress)
             won = gained_without_noise(point, other, self.prior)
         except ModelError:
             # Inputs that lead where no motor can be simulated did not run so.
