@@ -32,7 +32,9 @@ from motorlens_physics.estimate.weighed import (
     Weighed,
     at,
     from_noise,
+    gained,
     minimised,
+    needed,
     noisier,
     with_colour,
     with_rough_inputs,
@@ -285,7 +287,10 @@ def _shifted(found: Estimate, said: Findings) -> bool:
 
 
 def _put_back(found: Estimate, end: Weighed, said: Findings, progress: Callable[[str], None]) -> Estimate:
-    """An estimate with what is not told where it was before; the rest, which leant on where it had gone, fitted again."""
+    """An estimate with what is not told where it was before; the rest, which leant on where it had gone, fitted again.
+
+    Itself where the recordings are likelier as it is.
+    """
     prior = found.fit.prior
     rest = prior.only([key for key in prior.keys if key not in said.untold])
     model = found.fit.model.with_values({key: said.value[key] for key in said.untold})
@@ -298,6 +303,9 @@ def _put_back(found: Estimate, end: Weighed, said: Findings, progress: Callable[
         trusted=TRUSTED,
     )[0]
     again, gram, left = minimised(near, rest, progress, outliers=True)
+    # What together is told may be untold one by one.
+    if gained(again, end, prior) > needed(1):
+        return found
     other = _concluded(again, rest, gram, left)
     return replace(
         other,

@@ -110,13 +110,13 @@ class Timing:
 
     def _as_they_ran(self, point: Weighed) -> Weighed:
         # That inputs hold looks as if all were late by a part of a sample, and is asked first.
-        still, shifted, mean = as_they_ran(point, self.prior)
+        still, moved, mean = as_they_ran(point, self.prior)
         held = self._if_they_ran_so(point, still)
         if held is not point:
             return held
-        later = point if shifted == still else self._if_they_ran_so(point, shifted)
+        later = point if moved == still else self._if_they_ran_so(point, moved)
         # That all came late, and that a speed is a mean, may look alike from here.
-        counted = point if mean == shifted else self._if_they_ran_so(point, mean)
+        counted = point if mean == moved else self._if_they_ran_so(point, mean)
         if later is point or counted is point:
             return counted if later is point else later
         return counted if gained_without_noise(later, counted, self.prior) > needed(1) else later
@@ -138,8 +138,6 @@ class Timing:
                 for start in (point.model.with_values(none), self.begin)
             )
             other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
-            # Each way at its best: where one is half a sample late, another may be by a whole one more.
-            other = moved(other, self.prior, self.progress)
             won = gained_without_noise(point, other, self.prior)
         except ModelError:
             # Inputs that lead where no motor can be simulated did not run so.

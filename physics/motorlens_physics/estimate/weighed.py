@@ -120,11 +120,12 @@ class Errors:
         """
         first = self._heard_without(np.zeros_like(self.run.there))
         seen, peaks = first, np.zeros_like(self.run.there)
-        answers = 1 + 2 * int(np.ceil(self.frame.model.file.motor.response_s / self.run.period_s))
+        answers = self.frame.model.file.motor.response_s / self.run.period_s
+        window = 1 + 2 * int(min(np.ceil(answers), len(self.error) - 1))
         # One leads the filter astray for as long as the motor answers: the farthest off first.
         for _ in range(SIFTED):
             size = np.abs(seen.white[:, :, 0])
-            more = (size > OUTLIER) & (size == maximum_filter1d(np.max(size, axis=1), answers)[:, None])
+            more = (size > OUTLIER) & (size == maximum_filter1d(np.max(size, axis=1), window)[:, None])
             if not more.any():
                 break
             peaks |= more
