@@ -161,3 +161,48 @@ def test_a_rest_does_not_make_the_noise_smaller():
     alone, beside = (float(np.sqrt(noise.channels[0])) for noise in found)
     assert 0.4 < alone < 0.6
     assert beside == pytest.approx(alone, rel=0.1)
+
+
+@pytest.mark.parametrize("every", [2, 5, "at random"])
+def test_samples_that_are_no_new_readings_are_left_out_and_the_motor_is_found_as_without(
+    every: int | str,
+) -> None:
+    """A bus that hands on the last speed: what is left of it is as if the rest were missing."""
+    rng = np.random.default_rng(4)
+    time = np.arange(2000) * 0.002
+    speed = 100 * np.sin(3 * time) + 0.3 * rng.standard_normal(2000)
+    fresh = rng.random(2000) < 0.4 if every == "at random" else np.arange(2000) % every == 0
+    fresh[0] = True
+    shown = speed[np.maximum.accumulate(np.where(fresh, np.arange(2000), 0))]
+    channels = {"voltage": 24 * np.sign(np.sin(3 * time)), "current": rng.standard_normal(2000)}
+    run = prepare(Recording("bus.csv", time, channels | {"speed": shown}), read_motor_file(MOTOR))
+    bare = prepare(
+        Recording("bus.csv", time, channels | {"speed": np.where(fresh, speed, np.nan)}),
+        read_motor_file(MOTOR),
+    )
+    c = run.channels.index("speed")
+    assert np.array_equal(run.there[:, c], fresh) and run.there[:, 1 - c].all()
+    assert np.array_equal(run.there, bare.there) and np.array_equal(run.valid, bare.valid)
+    assert np.array_equal(run.measured[run.valid], bare.measured[bare.valid])
+    assert dict(run.repeats) == {"speed": int(np.sum(~fresh))} and not bare.repeats
+    assert f"{np.sum(~fresh)} samples of speed are the one before again" in run.repetition
+
+
+@pytest.mark.parametrize("kind", ["rounded to three digits", "counted", "at rest", "a converter's levels"])
+def test_equal_neighbours_that_are_readings_stay(kind: str) -> None:
+    rng = np.random.default_rng(5)
+    time = np.arange(4000) * 0.002
+    speed = 100 * np.sin(3 * time) + 0.3 * rng.standard_normal(4000)
+    shown = {
+        "rounded to three digits": np.array([float(f"{y:.3g}") for y in speed]),
+        "counted": np.diff(np.floor(np.cumsum(speed) * 0.05), prepend=0.0) * 20.0,
+        "at rest": np.where(time < 3, 0.0, speed),
+        "a converter's levels": np.round(speed / 0.5) * 0.5,
+    }[kind]  # fmt: skip
+    channels = {
+        "voltage": 24 * np.sign(np.sin(3 * time)),
+        "current": rng.standard_normal(4000),
+        "speed": shown,
+    }
+    run = prepare(Recording("bus.csv", time, channels), read_motor_file(MOTOR))
+    assert not run.repeats and run.there.all()

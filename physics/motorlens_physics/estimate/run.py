@@ -45,6 +45,10 @@ AT_REST = 5
 # Consecutive samples with the same number that are a channel that hangs, where noise keeps others from being equal: the
 # share of equal neighbours elsewhere, and the noise as a share of the range.
 HANGS, EQUAL, NOISY = 100, 0.2, 1e-4
+# The share of readings that are a number of their own from which on a channel looks continuous. Equal neighbours are no new
+# readings if there are so many times as many as that differ by its last digit, and by so many deviations of chance more; that
+# digit is the one of the numbers beyond this quantile.
+DISTINCT, OFTEN, BEYOND_CHANCE, LARGE = 0.5, 2.0, 5.0, 0.9
 # Times as long as the median, between two samples at which anything changes, that are rest and not a slow sensor.
 LONG = 10
 # The start is guessed from this many samples: their median is no outlier.
@@ -79,6 +83,7 @@ class Run:
         offset_below: channel -> the largest offset that its sensor can have, where it reads exactly zero at rest.
         hung: channel -> when it first and last hung, in s; these samples are not valid.
         saturated: channel -> how many of its samples are at the end of its converter's range; these are not valid.
+        repeats: channel -> how many of its samples are the one before again, see `repeating`; these are not valid.
         spikes: channel or input -> how many of its samples stand alone as no motor makes or follows them, and were left out.
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
@@ -106,6 +111,7 @@ class Run:
     shaft: Array | None = None
     hung: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     saturated: Mapping[str, int] = field(default_factory=dict)
+    repeats: Mapping[str, int] = field(default_factory=dict)
     spikes: Mapping[str, int] = field(default_factory=dict)
     late: Mapping[str, int] = field(default_factory=dict)
     noise: "Noise | None" = None
@@ -234,6 +240,12 @@ class Run:
         )  # fmt: skip
 
     @property
+    def repetition(self) -> str:
+        """Which samples were left out because they are no new readings, for the reader."""
+        told = " and ".join(f"{count} samples of {name}" for name, count in self.repeats.items())
+        return f"{self.name}: {told} are the one before again, to all digits: no new readings; they were left out."
+
+    @property
     def spiking(self) -> str:
         """Which samples were left out because they stand alone, for the reader."""
         told = " and ".join(f"{count} samples of {name}" for name, count in self.spikes.items())
@@ -328,11 +340,15 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     tells = ~resting([*measured.T, inputs.voltage_V, inputs.load_torque_Nm])
     hung: dict[str, tuple[float, float]] = {}
     ends: dict[str, int] = {}
+    repeats: dict[str, int] = {}
     errors: dict[str, LastingError] = {}
     for k, channel in enumerate(used):
         y = recording.channels[channel]
         hangs, beyond = hanging(y), saturated(y)
-        present[:, k] = np.isfinite(y) & ~hangs & ~beyond & ~imposed.get(channel, False)
+        again = repeating(y, tells) & ~hangs & ~beyond
+        present[:, k] = np.isfinite(y) & ~hangs & ~beyond & ~again & ~imposed.get(channel, False)
+        if again.any():
+            repeats[channel] = int(again.sum())
         if beyond.any():
             ends[channel] = int(beyond.sum())
         if hangs.any():
@@ -359,7 +375,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         recording.name, inputs, used, measured, np.all(present, axis=1), present, least_bits, every, start, known, floor,
         angle, input_step=coarse_inputs,
         offset_below=exact, converter_errors=errors,
-        shaft=angle, hung=hung, saturated=ends,
+        shaft=angle, hung=hung, saturated=ends, repeats=repeats,
     )  # fmt: skip
 
 
@@ -444,6 +460,35 @@ def hanging(y: Array) -> NDArray[np.bool_]:
         return np.zeros(len(y), dtype=bool)
     noisy = noise_sd(rest) > NOISY * float(np.ptp(rest))
     return np.asarray(hangs & noisy)
+
+
+def repeating(y: Array, tells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) samples that are the one before again, to all digits, where noise makes that rare: no new readings.
+
+    So does a log that is faster than its sensor, or than the bus between. Of 0, which a sensor may truly show for long, and
+    of a channel with the levels of a converter, which shows one for as long as it changes slowly, nothing is said.
+
+    Args:
+        y: (N,) as recorded; what is missing is not a number.
+        tells: (N,) where the motor does not rest.
+
+    >>> noise = np.random.default_rng(0).standard_normal(1000)
+    >>> slower, told = np.repeat(noise[::5], 5), np.ones(1000, dtype=bool)
+    >>> [int(repeating(y, told).sum()) for y in (noise, slower, np.round(noise, 3), np.round(slower, 1))]
+    [0, 800, 0, 0]
+    """
+    nowhere = np.zeros(len(y), dtype=bool)
+    at = np.flatnonzero(np.isfinite(y))
+    steps = np.diff(y[at])
+    changes, fresh = np.abs(steps[steps != 0]), y[at[1:]][steps != 0]
+    if len(np.unique(fresh)) <= DISTINCT * len(fresh):
+        return nowhere
+    again = nowhere.copy()
+    again[at[1:]] = (steps == 0) & (y[at[1:]] != 0) & tells[at[1:]]
+    # As many as are one up, or one down, in the last digit that large numbers have: small ones may have more.
+    last = float(np.min(changes[np.abs(fresh) >= np.quantile(np.abs(fresh), LARGE)]))
+    alike = 0.5 * float(np.sum(changes < 1.5 * last))
+    return again if again.sum() > OFTEN * alike + BEYOND_CHANCE * np.sqrt(alike + 1.0) else nowhere
 
 
 def largest_offset(y: Array) -> float | None:
