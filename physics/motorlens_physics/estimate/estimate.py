@@ -10,11 +10,10 @@ independent of the errors that are left, whatever their weights, so that the est
 weights make it efficient.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motorlens_physics.estimate.between_samples import otherwise
 from motorlens_physics.estimate.fit import CONVERGED, NEAR, Fit, fit, foretold, inverse, start_model, white
@@ -25,6 +24,7 @@ from motorlens_physics.estimate.prior import Prior, base_prior
 from motorlens_physics.estimate.report import Findings, findings
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.shaft import followed
+from motorlens_physics.estimate.spikes import Spikes, spikes_of_channels, spikes_of_inputs
 from motorlens_physics.estimate.timing import Timing, moved
 from motorlens_physics.estimate.weighed import (
     Array,
@@ -107,7 +107,7 @@ def estimate(
     )
     point, gram, left = _tempered(point, prior, progress)
     # What a spike of an input did to the simulation would pass for spikes of the channels.
-    for spikes in (Errors.spikes_of_inputs, Errors.spikes):
+    for spikes in (spikes_of_inputs, spikes_of_channels):
         alone = _without(spikes, point, prior)
         if alone is not point:
             point, gram, left = _tempered(alone, prior, progress)
@@ -247,9 +247,7 @@ def _tempered(
     return point, gram, left
 
 
-def _without(
-    spikes: Callable[[Errors], Mapping[str, NDArray[np.bool_]]], point: Weighed, prior: Prior
-) -> Weighed:
+def _without(spikes: Callable[[Errors], Spikes], point: Weighed, prior: Prior) -> Weighed:
     """The best parameters without samples that stand alone; itself if there are none."""
     runs = [part.run.without(spikes(part)) for part in point.parts]
     if all(run is part.run for run, part in zip(runs, point.parts, strict=True)):

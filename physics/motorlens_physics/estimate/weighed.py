@@ -11,15 +11,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 from scipy.special import chdtri
 
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
-from motorlens_physics.estimate.innovations import Filtered, Read, Sums, disturbances, read, sums
+from motorlens_physics.estimate.innovations import Read, Sums, disturbances, read, sums
 from motorlens_physics.estimate.input_noise import share_that_is_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
-from motorlens_physics.estimate.noise import INPUTS, LOAD, OUTLIER, VOLTAGE, Noise, first_noise
+from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise
 from motorlens_physics.estimate.noise_likelihood import coloured, lasting, likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
@@ -39,8 +38,6 @@ ROUNDS = 20
 ENOUGH = 0.05
 # How often a parameter more may be taken for real where there is none.
 CHANCE = 0.01
-# How often samples are looked for that stand alone, at most.
-SIFTED = 12
 # Close enough to look at how the inputs ran, and at outliers: what a step changes is then noise.
 CLOSE = 1.0
 
@@ -112,54 +109,6 @@ class Errors:
         """Of white errors alone."""
         return float(np.sum(self.read.deviance))
 
-    def spikes(self) -> dict[str, NDArray[np.bool_]]:
-        """Channel -> (N,) samples that stand alone: beyond noise, while those beside them are as expected without them.
-
-        What is missing from a motor goes on in its states. At a flank its answer may be over within a sample; there what is
-        shown bends by more than it errs.
-        """
-        first = self._heard_without(np.zeros_like(self.run.there))
-        seen, peaks = first, np.zeros_like(self.run.there)
-        answers = self.frame.model.file.motor.response_s / self.run.period_s
-        window = 1 + 2 * int(min(np.ceil(answers), len(self.error) - 1))
-        # One leads the filter astray for as long as the motor answers: the farthest off first.
-        for _ in range(SIFTED):
-            size = np.abs(seen.white[:, :, 0])
-            more = (size > OUTLIER) & (size == maximum_filter1d(np.max(size, axis=1), window)[:, None])
-            if not more.any():
-                break
-            peaks |= more
-            seen = self._heard_without(peaks)
-        if seen is first:
-            return {}
-        calm = ~peaks & (np.abs(seen.white[:, :, 0]) <= OUTLIER)
-        out = np.abs(_standing_out(self.error))
-        # Along the inputs as recorded: as corrected they may have followed it.
-        bends = np.abs(np.diff(self.run.measured - self.error, n=2, axis=0))
-        far = out > np.maximum(bends, OUTLIER * first.scale[1:-1])
-        alone = np.pad(peaks[1:-1] & calm[:-2] & calm[2:] & far, ((1, 1), (0, 0)))
-        return dict(zip(self.run.channels, alone.T, strict=True))
-
-    def _heard_without(self, out: NDArray[np.bool_]) -> Filtered:
-        return read(self.noise.space(self.run, self.linear, self.run.there & ~out), self.error).filtered
-
-    def spikes_of_inputs(self) -> dict[str, NDArray[np.bool_]]:
-        """Voltage and load torque -> (N,) samples that stand out of both beside them, and did not act on the motor.
-
-        What did act is what is expected given all that was measured (auxiliary residuals: de Jong and Penzer 1998,
-        doi:10.1080/01621459.1998.10473730).
-        """
-        alone = {}
-        every = read(self.noise.space(self.run, self.linear, self.run.there), self.error)
-        seen, _, _ = disturbances(every.space, every.filtered)
-        power = self.noise.all_of(self.run)[None]
-        for which, name, y in zip((VOLTAGE, LOAD), INPUTS, _shown(self.run).T, strict=True):
-            missed = (1 if which == VOLTAGE else -1) * self.noise.of_input(self.run, seen, which)[1:-1]
-            least = OUTLIER * np.sqrt(self.noise.of_input(self.run, power, which)[0])
-            out = _standing_out(y)
-            alone[name] = np.pad((np.abs(out) > least) & (-missed * np.sign(out) > least), 1)
-        return alone
-
     def with_rough_inputs(self, recorded: "Errors") -> "Errors":
         """With inputs as noisy at least as errors say that follow their roughness, seen along the inputs as `recorded`."""
         frame = recorded.frame
@@ -199,11 +148,6 @@ class Errors:
         )
         expected = shown + np.column_stack(missed)
         return replace(self, noise=noise, used=used, run=_corrected(self.run, noise, expected))
-
-
-def _standing_out(y: Array) -> Array:
-    """(N - 2, ...) by how much each sample of (N, ...) but the first and the last is outside of the two beside it."""
-    return np.asarray(y[1:-1] - np.clip(y[1:-1], np.minimum(y[:-2], y[2:]), np.maximum(y[:-2], y[2:])))
 
 
 def _shown(run: Run) -> Array:
