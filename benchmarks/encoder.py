@@ -12,7 +12,7 @@ import argparse
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +44,7 @@ NOISE_V, NOISE_A = 0.001, 0.003  # of the rated voltage, and of the current of a
 
 @dataclass(frozen=True)
 class World:
-    """A recording and what is true of it."""
+    """A recording and what is true of it: its motor, the angle (N,) of its shaft, and where in an edge that begins."""
 
     motor: str
     rate_Hz: float
@@ -52,10 +52,22 @@ class World:
     file: MotorFile
     recording: Recording
     truth: dict[str, float]
+    angle: np.ndarray
+    phase: float
 
 
 def world(seed: int, number: int) -> World:
-    """One of them."""
+    """One of them, with a speed that is counted."""
+    one = turned(seed, number)
+    edge, period_s = 2 * np.pi / (EDGES * one.lines), 1 / one.rate_Hz
+    counted = np.diff(np.floor(one.angle / edge + one.phase), prepend=0.0) * edge / period_s
+    return replace(
+        one, recording=replace(one.recording, channels=one.recording.channels | {"speed": counted})
+    )
+
+
+def turned(seed: int, number: int) -> World:
+    """One of them, with the true speed."""
     rng = np.random.default_rng([seed, number])
     name = str(rng.choice(list(MOTORS)))
     typical, volts = MOTORS[name]
@@ -70,12 +82,11 @@ def world(seed: int, number: int) -> World:
     states = simulated(truth, np.repeat(voltage, FINE), np.zeros(SAMPLES * FINE), fine)
     speed = states[:, 1]
     angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) * fine.period_s])[::FINE]
-    edge = 2 * np.pi / (EDGES * lines)
-    counted = np.diff(np.floor(angle / edge + rng.random()), prepend=0.0) * edge / period_s
+    phase = float(rng.random())
     channels = {
         "voltage": voltage + NOISE_V * volts * rng.standard_normal(SAMPLES),
         "current": states[::FINE, 0] + NOISE_A * volts / truth["R_a0"] * rng.standard_normal(SAMPLES),
-        "speed": counted,
+        "speed": speed[::FINE],
     }
     written = {key: value * rng.uniform(1 - OFF, 1 + OFF) for key, value in truth.items()}
     rated = Rated(
@@ -85,7 +96,14 @@ def world(seed: int, number: int) -> World:
     known = {key: Knowledge(OFF * written[key], "rating plate") for key in STATED}
     recording = Recording("counted.csv", np.arange(SAMPLES) * period_s, channels)
     return World(
-        name, rate_Hz, lines, MotorFile("plate", Motor(**written), rated, knowledge=known), recording, truth
+        name,
+        rate_Hz,
+        lines,
+        MotorFile("plate", Motor(**written), rated, knowledge=known),
+        recording,
+        truth,
+        angle,
+        phase,
     )
 
 

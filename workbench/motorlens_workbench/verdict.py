@@ -264,6 +264,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
     said += [run.saturation for run in found.runs if run.saturated]
     said += [run.averaging for run in found.runs if run.mean_speed]
     said += [run.repetition for run in found.runs if run.repeats]
+    said += [run.humming for run in found.runs if run.hum]
     said += [run.spiking for run in found.runs if run.spikes]
     lags = [times for name, times in found.outcome.judged.items() if name.endswith("_sensor_lag")]
     refused_lag = bool(lags) and max(lags) < 1.0

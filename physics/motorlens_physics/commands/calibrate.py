@@ -104,6 +104,7 @@ def _lines(found: "Calibration") -> list[str]:
     lines += [run.saturation for run in found.runs if run.saturated]
     lines += [run.averaging for run in found.runs if run.mean_speed]
     lines += [run.repetition for run in found.runs if run.repeats]
+    lines += [run.humming for run in found.runs if run.hum]
     lines += [run.spiking for run in found.runs if run.spikes]
     lines += [delay.sentence for delay in found.delays]
     lines += found.not_told

@@ -17,6 +17,7 @@ import numpy as np
 
 from motorlens_physics.estimate.between_samples import otherwise
 from motorlens_physics.estimate.fit import CONVERGED, NEAR, Fit, fit, foretold, inverse, start_model, white
+from motorlens_physics.estimate.hum import hum_of_channels
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise_likelihood import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
@@ -24,7 +25,7 @@ from motorlens_physics.estimate.prior import Prior, base_prior
 from motorlens_physics.estimate.report import Findings, findings
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.shaft import followed
-from motorlens_physics.estimate.spikes import Spikes, spikes_of_channels, spikes_of_inputs
+from motorlens_physics.estimate.spikes import spikes_of_channels, spikes_of_inputs
 from motorlens_physics.estimate.timing import Timing, moved
 from motorlens_physics.estimate.weighed import (
     Array,
@@ -102,15 +103,23 @@ def estimate(
     model = start_model(file, runs) if begin is None else begin
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
-    point = whole(
-        near(runs, prior, model, free=held is None, progress=progress), model, runs, prior, progress
-    )
-    point, gram, left = _tempered(point, prior, progress)
-    # What a spike of an input did to the simulation would pass for spikes of the channels.
-    for spikes in (spikes_of_inputs, spikes_of_channels):
-        alone = _without(spikes, point, prior)
-        if alone is not point:
-            point, gram, left = _tempered(alone, prior, progress)
+
+    def best(runs: Sequence[Run]) -> tuple[Weighed, Array, float]:
+        reached = near(runs, prior, model, free=held is None, progress=progress)
+        return _tempered(whole(reached, model, runs, prior, progress), prior, progress)
+
+    point, gram, left = best(runs)
+    driven = [part.run.without(spikes_of_inputs(part)) for part in point.parts]
+    if any(run is not part.run for run, part in zip(driven, point.parts, strict=True)):
+        # What a spike of an input did to the simulation may have passed for another timing, and for spikes of the channels.
+        point, gram, left = best([run.as_recorded.showing(False) for run in driven])
+    quiet = [_without_hum(part) for part in point.parts]
+    if any(run is not part.run for run, part in zip(quiet, point.parts, strict=True)):
+        # It passes for coloured noise.
+        point, gram, left = best([run.as_recorded.showing(False) for run in quiet])
+    alone = _without_spikes(point, prior)
+    if alone is not point:
+        point, gram, left = _tempered(alone, prior, progress)
     found = _concluded(point, prior, gram, left)
     if held is None:
         chances, spread = otherwise(point, prior)
@@ -247,9 +256,16 @@ def _tempered(
     return point, gram, left
 
 
-def _without(spikes: Callable[[Errors], Spikes], point: Weighed, prior: Prior) -> Weighed:
-    """The best parameters without samples that stand alone; itself if there are none."""
-    runs = [part.run.without(spikes(part)) for part in point.parts]
+def _without_hum(part: Errors) -> Run:
+    run = part.run
+    for hum in hum_of_channels(part):
+        run = run.less(hum.channel, hum.frequency_Hz, hum.line)
+    return run
+
+
+def _without_spikes(point: Weighed, prior: Prior) -> Weighed:
+    """The best parameters without samples of channels that stand alone; itself if there are none."""
+    runs = [part.run.without(spikes_of_channels(part)) for part in point.parts]
     if all(run is part.run for run, part in zip(runs, point.parts, strict=True)):
         return point
     parts = tuple(replace(part, run=run, used=run.there) for run, part in zip(runs, point.parts, strict=True))

@@ -1,4 +1,4 @@
-"""What the readings of a channel tell of its sensor, before anything is fitted: whether it rests, hangs or repeats itself."""
+"""What the readings of a channel tell before anything is fitted: whether it rests, hangs or repeats itself."""
 
 from collections.abc import Sequence
 

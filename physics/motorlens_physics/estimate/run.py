@@ -75,6 +75,7 @@ class Run:
         saturated: channel -> how many of its samples are at the end of its converter's range; these are not valid.
         repeats: channel -> how many of its samples are the one before again, see `repeating`; these are not valid.
         spikes: channel or input -> how many of its samples stand alone as no motor makes or follows them, and were left out.
+        hum: channel and frequency in Hz -> the amplitude of a line that was taken out of what it shows.
         noise: of its sensors and inputs, as an estimate found it.
         late: channel -> by how many samples it was recorded late, and was moved.
         unmoved: the run before its channels were moved; None if none was.
@@ -103,6 +104,7 @@ class Run:
     saturated: Mapping[str, int] = field(default_factory=dict)
     repeats: Mapping[str, int] = field(default_factory=dict)
     spikes: Mapping[str, int] = field(default_factory=dict)
+    hum: Mapping[tuple[str, float], float] = field(default_factory=dict)
     late: Mapping[str, int] = field(default_factory=dict)
     noise: "Noise | None" = None
     unmoved: "Run | None" = None
@@ -228,6 +230,30 @@ class Run:
         return replace(
             self, inputs=inputs, measured=measured, there=there, valid=np.all(there, axis=1), spikes=counts, unmoved=unmoved
         )  # fmt: skip
+
+    def less(self, channel: str, frequency_Hz: float, line: Array) -> "Run":
+        """With a line (N,) of this frequency taken out of what a channel shows."""
+        measured, c = self.measured.copy(), self.channels.index(channel)
+        measured[:, c] -= line
+        unmoved = self.unmoved
+        if unmoved is not None:
+            unmoved = unmoved.less(channel, frequency_Hz, _earlier(line, -self.late.get(channel, 0)))
+        amplitude = float(np.sqrt(2 * np.mean(line**2)))
+        return replace(
+            self,
+            measured=measured,
+            hum=dict(self.hum) | {(channel, frequency_Hz): amplitude},
+            unmoved=unmoved,
+        )
+
+    @property
+    def humming(self) -> str:
+        """Which lines were taken out, for the reader."""
+        told = " and ".join(
+            f"{amplitude:.2g} {UNIT_OF[channel]} at {frequency:.5g} Hz out of the {channel}"
+            for (channel, frequency), amplitude in self.hum.items()
+        )
+        return f"{self.name}: hum of the mains was taken out, {told}."
 
     @property
     def repetition(self) -> str:

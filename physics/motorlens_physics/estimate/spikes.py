@@ -63,14 +63,15 @@ def spikes_of_inputs(part: Errors) -> Spikes:
     """
     alone = {}
     every = read(part.noise.space(part.run, part.linear, part.run.there), part.error)
-    seen, _, _ = disturbances(every.space, every.filtered)
-    power, recorded = part.noise.all_of(part.run)[None], part.run.inputs
+    seen, (_, expected), _ = disturbances(every.space, every.filtered)
+    recorded = part.run.inputs
     # A load brakes: what the torque balance got too little, the load sensor showed too much.
     for which, y, sign in ((VOLTAGE, recorded.voltage_V, 1), (LOAD, recorded.load_torque_Nm, -1)):
-        missed = sign * part.noise.of_input(part.run, seen, which)[1:-1]
-        least = OUTLIER * np.sqrt(part.noise.of_input(part.run, power, which)[0])
-        out = _standing_out(y)
-        alone[INPUTS[which]] = np.pad((np.abs(out) > least) & (-missed * np.sign(out) > least), 1)
+        variance, missed, out = part.noise.disturbances[which], sign * seen[1:-1, which], _standing_out(y)
+        # How far what is expected of noise is from 0 by chance: by less than the noise, the less the channels tell of it.
+        least = OUTLIER * variance * np.sqrt(expected[which] / len(y))
+        far = (np.abs(out) > OUTLIER * np.sqrt(variance)) & (-missed * np.sign(out) > least)
+        alone[INPUTS[which]] = np.pad(far, 1)
     return alone
 
 
