@@ -24,12 +24,12 @@ LEAST = 30.0
 CHANNELS = ("voltage", "current", "speed")
 
 
-def driven(period_s: float, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def driven(period_s: float, seed: int, dwell: int = 200) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Random steps of a held voltage on a free shaft."""
     rng = np.random.default_rng(seed)
     truth = TYPICAL | {"R_a0": 1.1 * TYPICAL["R_a0"], "J": 0.9 * TYPICAL["J"]}
-    voltage = np.repeat(rng.uniform(-RATED["voltage"], RATED["voltage"], SAMPLES // 200), 200)
-    test = plain_motor.Test(period_s, SAMPLES, 200, True, NOISE)
+    voltage = np.repeat(rng.uniform(-RATED["voltage"], RATED["voltage"], SAMPLES // dwell), dwell)
+    test = plain_motor.Test(period_s, SAMPLES, dwell, True, NOISE)
     states = plain_motor.simulated(truth, voltage, np.zeros(SAMPLES), test)
     shown = dict(zip(CHANNELS, (voltage, states[:, 0], states[:, 1]), strict=True))
     noisy = {q: y + NOISE * RATED[q] * rng.standard_normal(SAMPLES) for q, y in shown.items()}
@@ -89,3 +89,16 @@ def test_what_a_motor_answers_within_a_sample_is_no_spike() -> None:
         np.sum(np.abs(found.fit.residuals[0]) > 5 * NOISE * np.array([RATED["current"], RATED["speed"]])) > 10
     )
     assert dict(found.runs[0].spikes) == {}
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("dwell", [1, 4])
+def test_pulses_of_the_voltage_that_drove_the_motor_are_no_spikes(dwell: int) -> None:
+    """However much the model is off: the load that the file does not know brakes, and its inductance is half."""
+    time, channels = driven(0.002, 5, dwell)
+    half = MotorFile("half", Motor(**(TYPICAL | {"L": 0.5 * TYPICAL["L"], "b": 0.0})), PLATE)
+    runs = prepare_all([Recording("pulses.csv", time, channels)], half)
+    prior = base_prior(half, runs)
+    found = estimate(half, runs, prior.only([key for key in prior.keys if key not in ("L", "b")]))
+    assert np.std(found.fit.residuals[0][:, 0]) > 5 * NOISE * RATED["current"]
+    assert "voltage" not in found.runs[0].spikes

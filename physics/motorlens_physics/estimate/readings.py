@@ -17,7 +17,7 @@ HANGS, EQUAL, NOISY = 100, 0.2, 1e-4
 # The share of readings that are a number of their own from which on a channel looks continuous. Equal neighbours are no new
 # readings if there are so many times as many as that differ by its last digit, and by so many deviations of chance more; the
 # digit is that of the numbers beyond this quantile.
-DISTINCT, OFTEN, BEYOND_CHANCE, LARGE = 0.5, 2.0, 5.0, 0.9
+DISTINCT, OFTEN, BEYOND_CHANCE, LARGE = 0.9, 2.0, 5.0, 0.9
 # Times as long as the median, between two samples at which anything changes, that are rest and not a slow sensor.
 LONG = 10
 

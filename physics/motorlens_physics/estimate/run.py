@@ -361,7 +361,8 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     for k, channel in enumerate(used):
         y = recording.channels[channel]
         hangs, beyond = hanging(y), saturated(y)
-        again = repeating(y, tells) & ~hangs & ~beyond
+        # A temperature changes so slowly that the last reading is as good.
+        again = repeating(y, tells & (channel != "temperature")) & ~hangs & ~beyond
         present[:, k] = np.isfinite(y) & ~hangs & ~beyond & ~again & ~imposed.get(channel, False)
         if again.any():
             repeats[channel] = int(again.sum())

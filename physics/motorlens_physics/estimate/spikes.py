@@ -19,6 +19,9 @@ Spikes = Mapping[str, NDArray[np.bool_]]
 
 # How often samples are looked for that stand alone, at most.
 SIFTED = 12
+# By how much less than it stands out a sample of an input may be off, or more, as a share.
+AGREES = 0.5
+LEAST = 1e-300
 
 
 def spikes_of_channels(part: Errors) -> Spikes:
@@ -67,11 +70,11 @@ def spikes_of_inputs(part: Errors) -> Spikes:
     recorded = part.run.inputs
     # A load brakes: what the torque balance got too little, the load sensor showed too much.
     for which, y, sign in ((VOLTAGE, recorded.voltage_V, 1), (LOAD, recorded.load_torque_Nm, -1)):
-        variance, missed, out = part.noise.disturbances[which], sign * seen[1:-1, which], _standing_out(y)
-        # How far what is expected of noise is from 0 by chance: by less than the noise, the less the channels tell of it.
-        least = OUTLIER * variance * np.sqrt(expected[which] / len(y))
-        far = (np.abs(out) > OUTLIER * np.sqrt(variance)) & (-missed * np.sign(out) > least)
-        alone[INPUTS[which]] = np.pad(far, 1)
+        variance, told, out = part.noise.disturbances[which], expected[which] / len(y), _standing_out(y)
+        # What noise is expected given all is shrunk by what the channels tell of it; how far it was off, as they tell.
+        off = sign * seen[1:-1, which] / max(variance * told, LEAST)
+        seen_at_all = np.abs(out) > OUTLIER * max(np.sqrt(variance), 1 / np.sqrt(max(told, LEAST)))
+        alone[INPUTS[which]] = np.pad(seen_at_all & (np.abs(out + off) < AGREES * np.abs(out)), 1)
     return alone
 
 
