@@ -50,6 +50,10 @@ def hum_of_channels(part: Errors) -> list[Hum]:
     first = max((len(run.measured) - LOOKED_AT) // 2, 0)
     rows = slice(first, first + LOOKED_AT)
     time, white = run.inputs.time_s[rows], part.read.filtered.white[rows, :, 0]
+    drive = [run.inputs.voltage_V[rows], run.inputs.load_torque_Nm[rows]]
+    # What a line of the drive stirs up is no hum; the drive is smooth, and no line of it is small beside noise.
+    shown = np.column_stack([white, *(y - np.mean(y) for y in drive)])
+    least = np.append(np.ones(white.shape[1]), np.zeros(len(drive)) + 1e-12)
     lasts = float(time[-1] - time[0])
     found: list[Hum] = []
     for nominal in _apart(
@@ -58,11 +62,12 @@ def hum_of_channels(part: Errors) -> list[Hum]:
         near, beside = _frequencies(nominal, lasts, 1 / run.period_s)
         if not near.size:
             continue
-        lines, others = (_power(time, white, frequencies) for frequencies in (near, beside))
+        lines, others = (_power(time, shown, frequencies) for frequencies in (near, beside))
         # Those beside are of noise, or of what the model lacks; the largest is what a line is measured by.
-        told = np.max(lines, axis=0) / np.maximum(np.max(others, axis=0), 1.0)
-        c = int(np.argmax(told))
-        if told[c] > np.log(len(near) * len(MAINS_HZ) * len(HARMONICS) * white.shape[1] / CHANCE):
+        told = np.max(lines, axis=0) / np.maximum(np.max(others, axis=0), least)
+        least_told = np.log(len(near) * len(MAINS_HZ) * len(HARMONICS) * white.shape[1] / CHANCE)
+        driven, c = told[white.shape[1] :], int(np.argmax(told[: white.shape[1]]))
+        if told[c] > least_told and np.all(driven <= least_told):
             frequency = float(near[np.argmax(lines[:, c])])
             found.append(Hum(run.channels[c], frequency, _line(part, c, frequency)))
     return found

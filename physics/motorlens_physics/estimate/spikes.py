@@ -22,12 +22,15 @@ SIFTED = 12
 # By how much less than it stands out a sample of an input may be off, or more, as a share.
 AGREES = 0.5
 LEAST = 1e-300
+# So many time constants on, nothing is left of an answer.
+ANSWERED = 100.0
 
 
 def spikes_of_channels(part: Errors) -> Spikes:
     """Channel -> (N,) samples that stand alone: beyond noise, while those beside them are as expected without them.
 
-    At a flank the answer of a motor may be over within a sample; there what is shown bends by more than it errs.
+    What a motor lacks goes on in its states: of what is this far beyond noise so much would be left at the next sample that
+    it showed. At a flank the answer may be over sooner; there what is shown bends by more than it errs.
 
     Args:
         part: a run near the best parameters.
@@ -50,7 +53,9 @@ def spikes_of_channels(part: Errors) -> Spikes:
     out = np.abs(_standing_out(part.error))
     # Along the inputs as recorded: as corrected they may have followed it.
     bends = np.abs(np.diff(part.run.measured - part.error, n=2, axis=0))
-    far = out > np.maximum(bends, OUTLIER * first.scale[1:-1])
+    # Of a slow recording nothing remains at the next sample.
+    least = OUTLIER * np.exp(min(1 / answers, ANSWERED)) * first.scale[1:-1]
+    far = out > np.maximum(bends, least)
     alone = np.pad(peaks[1:-1] & calm[:-2] & calm[2:] & far, ((1, 1), (0, 0)))
     return dict(zip(part.run.channels, alone.T, strict=True))
 
