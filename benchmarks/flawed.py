@@ -34,7 +34,7 @@ NOISE = 1e-3  # of the speed, of the fastest
 RARE, MISSING, SPIKE = 0.002, 0.2, (0.2, 2.0)
 # Repeated readings: the share, and the samples from one reading to the next.
 STALE, LATEST = 0.3, (2, 5, 10)
-# Bits of a converter over the range of a channel; share of heavy-tailed noise, as Student's t has it with three degrees.
+# Bits of a converter over the range of a channel; degrees of freedom of heavy-tailed noise, by Student's t.
 BITS, TAILS = 11, 3.0
 MAINS_HZ, HUM = 50.0, 0.003  # of the range
 

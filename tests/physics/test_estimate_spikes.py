@@ -36,10 +36,9 @@ def driven(period_s: float, seed: int, dwell: int = 200) -> tuple[np.ndarray, di
     return np.arange(SAMPLES) * period_s, noisy
 
 
-def fitted(time: np.ndarray, channels: dict[str, np.ndarray], without: tuple[str, ...] = ()) -> Estimate:
+def fitted(time: np.ndarray, channels: dict[str, np.ndarray]) -> Estimate:
     runs = prepare_all([Recording("spikes.csv", time, channels)], FILE)
-    prior = base_prior(FILE, runs)
-    return estimate(FILE, runs, prior.only([key for key in prior.keys if key not in without]))
+    return estimate(FILE, runs)
 
 
 @pytest.mark.fit

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import czt
 
 from motorlens_physics.estimate.weighed import CHANCE, Errors
 
@@ -19,8 +20,10 @@ Array = NDArray[np.float64]
 MAINS_HZ, WANDERS, HARMONICS = (50.0, 60.0), 0.004, (1, 2, 3)
 # Half as wide is what a line must stand out of, as a share of its frequency.
 BESIDE = 0.1
-# Samples in which lines are looked for, at most; and how long a line keeps its phase, in s.
-LOOKED_AT, STEADY_S = 1 << 15, 5.0
+# Samples in which lines are looked for, at most, and seconds; and how long a line keeps its phase, in s.
+LOOKED_AT, LOOKED_AT_S, STEADY_S = 1 << 15, 60.0, 5.0
+# Steps of time that are uneven by more than this share are no even sampling.
+UNEVEN = 0.5
 # Frequencies looked at in one over the time that is looked at.
 FINER = 4
 
@@ -47,22 +50,27 @@ def hum_of_channels(part: Errors) -> list[Hum]:
         part: the run near the best parameters.
     """
     run = part.run
-    first = max((len(run.measured) - LOOKED_AT) // 2, 0)
-    rows = slice(first, first + LOOKED_AT)
-    time, white = run.inputs.time_s[rows], part.read.filtered.white[rows, :, 0]
+    steps = np.diff(run.inputs.time_s)
+    # Beside uneven steps a line is spread over all frequencies.
+    if np.ptp(steps) > UNEVEN * np.median(steps):
+        return []
+    rate_Hz = float(1 / np.mean(steps))
+    most = min(LOOKED_AT, int(LOOKED_AT_S * rate_Hz))
+    first = max((len(run.measured) - most) // 2, 0)
+    rows = slice(first, first + most)
+    white = part.read.filtered.white[rows, :, 0]
     drive = [run.inputs.voltage_V[rows], run.inputs.load_torque_Nm[rows]]
     # What a line of the drive stirs up is no hum; the drive is smooth, and no line of it is small beside noise.
     shown = np.column_stack([white, *(y - np.mean(y) for y in drive)])
     least = np.append(np.ones(white.shape[1]), np.zeros(len(drive)) + 1e-12)
-    lasts = float(time[-1] - time[0])
     found: list[Hum] = []
-    for nominal in _apart(
-        (mains * harmonic for harmonic in HARMONICS for mains in MAINS_HZ), 1 / run.period_s
-    ):
-        near, beside = _frequencies(nominal, lasts, 1 / run.period_s)
+    for nominal in _apart((mains * harmonic for harmonic in HARMONICS for mains in MAINS_HZ), rate_Hz):
+        near, beside = _frequencies(nominal, len(white) / rate_Hz, rate_Hz)
         if not near.size:
             continue
-        lines, others = (_power(time, shown, frequencies) for frequencies in (near, beside))
+        lines, others = _power(shown, near, rate_Hz), _power(shown, beside, rate_Hz)
+        # What the line itself spreads to is none beside it.
+        others = others[np.abs(beside - nominal) > near[-1] - nominal + 2 * rate_Hz / len(white)]
         # Those beside are of noise, or of what the model lacks; the largest is what a line is measured by.
         told = np.max(lines, axis=0) / np.maximum(np.max(others, axis=0), least)
         least_told = np.log(len(near) * len(MAINS_HZ) * len(HARMONICS) * white.shape[1] / CHANCE)
@@ -93,19 +101,21 @@ def _folded(frequency_Hz: float, rate_Hz: float) -> float:
 
 
 def _frequencies(nominal: float, lasts_s: float, rate_Hz: float) -> tuple[Array, Array]:
-    """Those at which a line may be, and those beside; none where it is folded to what lasts, or time is too short."""
+    """Those at which a line may be, and about it, evenly; none where it is folded to what lasts, or too little tells."""
     wanders, wide = WANDERS * nominal, BESIDE * nominal
-    if wide * lasts_s < 10 or _folded(nominal, rate_Hz) < wide:
+    if wide * lasts_s < 10 or _folded(nominal, rate_Hz) < wide or rate_Hz < 2 * wide:
         return np.zeros(0), np.zeros(0)
     near = nominal + np.linspace(-wanders, wanders, 1 + 2 * int(np.ceil(FINER * wanders * lasts_s)))
-    beside = nominal + np.arange(-wide, wide, 1 / lasts_s)
-    return near, beside[np.abs(beside - nominal) > wanders + 2 / lasts_s]
+    return near, nominal + np.linspace(-wide, wide, 1 + 2 * int(np.ceil(wide * lasts_s)))
 
 
-def _power(time_s: Array, white: Array, frequencies_Hz: Array) -> Array:
-    """(F, C) of white columns (N, C) at frequencies (F,): 1 in the mean."""
-    total = np.maximum(np.sum(white**2, axis=0), 1e-300)
-    return np.array([np.abs(np.exp(-2j * np.pi * f * time_s) @ white) ** 2 / total for f in frequencies_Hz])
+def _power(columns: Array, frequencies_Hz: Array, rate_Hz: float) -> Array:
+    """(F, C) of columns (N, C) at even frequencies (F,): 1 in the mean of white ones."""
+    turn = 2j * np.pi / rate_Hz
+    step, first = frequencies_Hz[1] - frequencies_Hz[0], frequencies_Hz[0]
+    spectrum = czt(columns, len(frequencies_Hz), np.exp(-turn * step), np.exp(turn * first), axis=0)
+    total = np.maximum(np.sum(columns**2, axis=0), 1e-300)
+    return np.asarray(np.abs(spectrum) ** 2 / total)
 
 
 def _line(part: Errors, c: int, frequency_Hz: float) -> Array:

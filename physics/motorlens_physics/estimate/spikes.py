@@ -21,6 +21,7 @@ Spikes = Mapping[str, NDArray[np.bool_]]
 SIFTED = 12
 # By how much less than it stands out a sample of an input may be off, or more, as a share.
 AGREES = 0.5
+# Instead of nothing, where nothing is told or no noise is there.
 LEAST = 1e-300
 # So many time constants on, nothing is left of an answer.
 ANSWERED = 100.0
