@@ -1,5 +1,6 @@
 """Headings: what `infer` writes can be read again, by name and by unit."""
 
+import numpy as np
 import pytest
 
 from motorlens_runtime.errors import DataError
@@ -28,15 +29,43 @@ def test_units_of_test_stands(heading, quantity, value):
 
 @pytest.mark.parametrize(
     "heading",
-    ["current_limit_A", "Phase A", "speed_ref", "speed_sd_rad_s", "temperature_rise_K", "min", "Hz", "A", "Current B",
+    ["current_limit_A", "motor_current_limit_A", "field_voltage_V", "v_bus_V", "motor_torque_Nm", "case_temp_C",
+     "motor_power_W", "v_m_s", "T_L", "speed_ref_rpm", "load", "winding", "encoder_counts", "Phase A", "speed_ref",
+     "speed_sd_rad_s", "temperature_rise_K", "min", "Hz", "A", "Current B",
      "counts/s", "field.voltage", "tempo", "par"],
 )  # fmt: skip
 def test_what_only_resembles_a_quantity_is_none(heading):
     assert understand([heading], {}, "f") == {}
 
 
+# As drives, test stands, Simulink and spreadsheets name them.
+@pytest.mark.parametrize(
+    ("headings", "expected"),
+    [
+        ("time_s motor_voltage_V motor_current_mA motor_speed_rpm winding_temp_C load_Nm",
+         {"time": 1, "voltage": 1, "current": 1e-3, "speed": np.pi / 30, "temperature": 1, "load_torque": 1}),
+        ("elapsed_s v_term_V armature_current_A measured_speed_rpm T_winding_degC torque_load_mNm room_temp_C",
+         {"time": 1, "voltage": 1, "current": 1, "speed": np.pi / 30, "temperature": 1, "load_torque": 1e-3, "ambient": 1}),
+        ("t_ms Va Ia wm T_winding T_load(Nm)",
+         {"time": 1e-3, "voltage": 1, "current": 1, "speed": 1, "temperature": 1, "load_torque": 1}),
+        ("TIME_MS MOTOR_VOLTAGE_MV Vmot_ref_V MotorCurrent_A motor_rpm coil_degC T_amb_C shaft_angle_deg",
+         {"time": 1e-3, "voltage": 1e-3, "current": 1, "speed": np.pi / 30, "temperature": 1, "ambient": 1,
+          "angle": np.pi / 180}),
+        ("sec v_m i_m omega_m theta_deg", {"time": 1, "voltage": 1, "current": 1, "speed": 1, "angle": np.pi / 180}),
+        ("time_s voltage_meas_V current_actual_A speed_ref_rpm speed_meas_rpm ambient_temp_C",
+         {"time": 1, "voltage": 1, "current": 1, "speed": np.pi / 30, "ambient": 1}),
+    ],
+)  # fmt: skip
+def test_where_and_how_it_was_measured_may_stand_beside_the_name(headings, expected):
+    found = understand(headings.split(), {}, "f")
+    assert {quantity: column.factor for quantity, column in found.items()} == pytest.approx(
+        expected, rel=1e-15
+    )
+
+
 def test_a_symbol_alone_is_proposed_and_not_taken():
     assert candidates("voltage", ["t", "u", "y"]) == ["u"]
+    assert candidates("voltage", ["t", "u_a", "y"]) == ["u_a"]
     assert candidates("voltage", ["t", "u", "input_voltage"]) == ["input_voltage"]
     assert candidates("voltage", ["u", "a [mV]", "input_voltage"]) == ["a [mV]"]
 

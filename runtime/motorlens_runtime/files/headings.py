@@ -1,7 +1,9 @@
 """Headings: which quantity the name of a column says it holds, and in which unit.
 
 The canonical heading is `quantity_unit` (`speed_rad_s`). What test stands and spreadsheets write is understood beside it:
-`Motor Optical Speed (RPM)`, `v[V]`, `U/V`, `Spannung U in mV`, `Time, ms`, `Motor Current A`, `TIME_MS`, `rpm`.
+`Motor Optical Speed (RPM)`, `v[V]`, `U/V`, `Spannung U in mV`, `Time, ms`, `motor_current_mA`, `MotorSpeed_rpm`, `Ia`,
+`TIME_MS`, `rpm`. Beside a word for the quantity may stand where and how it was measured; with any other word
+(`current_limit_A`, `field_voltage_V`) it is another quantity.
 """
 
 import re
@@ -14,38 +16,51 @@ from motorlens_runtime.files.units import BASES, Unit, in_heading
 
 # quantity -> (canonical unit, the words a heading may use for it, in lower case without blanks)
 QUANTITIES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "time": ("s", ("time", "t", "timestamp", "elapsedtime", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "tid",
+    "time": ("s", ("time", "t", "timestamp", "elapsed", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "tid",
                    "время", "时间", "時間")),
-    "voltage": ("V", ("voltage", "v", "u", "armaturevoltage", "terminalvoltage", "motorvoltage", "spannung",
-                      "ankerspannung", "motorspannung", "tension", "tensión", "tensione", "voltaje", "voltagem",
-                      "spanning", "напряжение", "电压", "電圧")),
-    "current": ("A", ("current", "i", "armaturecurrent", "motorcurrent", "strom", "ankerstrom", "motorstrom", "courant",
-                      "corriente", "corrente", "stroom", "ток", "电流", "電流")),
-    "speed": ("rad_s", ("speed", "w", "omega", "ω", "n", "motorspeed", "motoropticalspeed", "rotorspeed", "velocity",
-                        "angularvelocity", "drehzahl", "motordrehzahl", "winkelgeschwindigkeit", "vitesse", "velocidad",
-                        "velocidade", "velocità", "snelheid", "скорость", "转速", "回転数")),
-    "temperature": ("C", ("temperature", "temp", "t", "windingtemperature", "motortemp", "motortemperature",
-                          "coiltemperature", "temperatur", "wicklungstemperatur", "température", "temperatura",
-                          "temperatuur", "температура", "温度")),
-    "load_torque": ("Nm", ("loadtorque", "torque", "shafttorque", "drehmoment", "lastmoment", "couple", "par", "coppia",
-                           "момент", "转矩", "トルク")),
-    "ambient": ("C", ("ambient", "ambienttemperature", "umgebungstemperatur")),
-    "angle": ("rad", ("angle", "shaftangle", "position", "winkel", "drehwinkel")),
-    "resistance": ("ohm", ("resistance", "armatureresistance", "widerstand")),
+    "voltage": ("V", ("voltage", "volt", "v", "u", "spannung", "ankerspannung", "motorspannung", "tension",
+                      "tensión", "tensione", "voltaje", "voltagem", "spanning", "напряжение", "电压", "電圧")),
+    "current": ("A", ("current", "curr", "i", "strom", "ankerstrom", "motorstrom", "courant", "corriente",
+                      "corrente", "stroom", "ток", "电流", "電流")),
+    "speed": ("rad_s", ("speed", "w", "omega", "ω", "n", "velocity", "drehzahl", "motordrehzahl",
+                        "winkelgeschwindigkeit", "vitesse", "velocidad", "velocidade", "velocità", "snelheid",
+                        "скорость", "转速", "回転数")),
+    "temperature": ("C", ("temperature", "temp", "t", "winding", "coil", "motortemp", "motortemperature",
+                          "temperatur", "wicklungstemperatur", "température", "temperatura", "temperatuur",
+                          "температура", "温度")),
+    "load_torque": ("Nm", ("torque", "load", "tau", "tload", "tl", "ml", "drehmoment", "lastmoment", "couple",
+                           "par", "coppia", "момент", "转矩", "トルク")),
+    "ambient": ("C", ("ambient", "amb", "tamb", "room", "umgebungstemperatur", "raumtemperatur")),
+    "angle": ("rad", ("angle", "position", "pos", "theta", "phi", "winkel", "drehwinkel")),
+    "resistance": ("ohm", ("resistance", "widerstand")),
     "terminal": ("", ("terminal", "terminals")),
     "shaft": ("", ("shaft",)),
 }  # fmt: skip
 # Words that are a quantity only with its unit beside them: alone they are as often something else.
-_NEED_A_UNIT = frozenset(("u", "n", "velocity", "tension", "couple", "par", "tempo", "temp"))
+_NEED_A_UNIT = frozenset(("u", "n", "velocity", "tension", "couple", "par", "tempo", "temp", "winding", "coil", "load",
+                          "tau", "tload", "tl", "ml", "amb", "room", "pos", "theta", "phi"))  # fmt: skip
+# What may stand beside a word for the quantity and leaves it what it is: how it was measured, and where.
+_HOW = frozenset(("measured", "meas", "actual", "act", "gemessen", "ist"))
+_WHERE = {
+    "time": ("test", "sample", "sampling", "relative", "rel"),
+    "voltage": ("motor", "mot", "m", "armature", "arm", "a", "terminal", "terminals", "term"),
+    "current": ("motor", "mot", "m", "armature", "arm", "a"),
+    "speed": ("motor", "mot", "m", "shaft", "rotor", "angular", "rotational", "optical", "encoder", "enc", "tacho"),
+    "temperature": ("armature",),
+    "load_torque": ("shaft", "brake"),
+    "ambient": ("temperature", "temp", "t", "air"),
+    "angle": ("motor", "shaft", "rotor", "encoder", "enc"),
+    "resistance": ("armature",),
+}  # fmt: skip
 _BRACKETED = re.compile(r"(.+?)\s*/?\s*[(\[]\s*([^)\]]+?)\s*[)\]]")
 # What stands between a name and its unit where there are no brackets.
-_BETWEEN = re.compile(r"\s+in\s+|\s*[/,;]\s*|[\s.\-:]+")
+_BETWEEN = re.compile(r"\s+in\s+|\s*[/,;]\s*|[\s.\-:_]+")
 _REVOLUTION = tuple({"rad": 1, "cycle": -1}.get(base, 0) for base in BASES)
 # Words that make another quantity of a name, as `sd` and `rise` do in what `infer` writes.
 _OTHER_WORDS = frozenset(("ref", "raw", "cmd", "set", "max", "min", "sd", "rise"))
 # Units that stand for their quantity where a heading is nothing else.
 _SPEAKING = re.compile(
-    "rpm|volts?|amps?|amperes?|seconds?|millisec(?:ond)?s?|ms|us|rad/s|celsius|degc", re.IGNORECASE
+    "rpm|secs?|volts?|amps?|amperes?|seconds?|millisec(?:ond)?s?|ms|us|rad/s|celsius|degc", re.IGNORECASE
 )
 
 
@@ -54,7 +69,7 @@ def recognise(heading: str) -> tuple[str, str] | None:
 
     The unit is empty where the heading is the bare word.
     """
-    return _canonically(heading) or _freely(heading)
+    return _canonically(heading) or _freely(heading) or _of_unknown_unit(heading)
 
 
 def is_canonical(heading: str) -> bool:
@@ -78,7 +93,9 @@ def unit_text(heading: str) -> str | None:
     if in_heading(heading) is None:
         for between, suffix in _split(heading):
             # After a blank or a dash a letter is rather a number of its own: `Phase A`, `Motor-A`.
-            if in_heading(suffix) is not None and (len(suffix) > 1 or between not in (" ", "-", ".", ":")):
+            if in_heading(suffix) is not None and (
+                len(suffix) > 1 or between not in (" ", "-", ".", ":", "_")
+            ):
                 return suffix
     return None
 
@@ -90,14 +107,14 @@ def unit_in(heading: str) -> Unit | None:
 
 
 def candidates(quantity: str, headings: Sequence[str]) -> list[str]:
-    """The headings whose unit is one of the quantity's; without any, those that hold a word for it, or are its symbol."""
+    """The headings whose unit is one of the quantity's; without any, those that hold a word for it, or its symbol."""
     unit, words = QUANTITIES[quantity]
     by_unit = [h for h in headings if (text := unit_text(h)) and conversion(unit, text) is not None]
     if by_unit:
         return by_unit
     long = [word for word in words if len(word) > 3]
     named = [h for h in headings if unit_text(h) is None and any(word in h.lower() for word in long)]
-    return named or [h for h in headings if h.strip().lower() in words]
+    return named or [h for h in headings if _is_named(quantity, h)]
 
 
 @lru_cache(maxsize=4096)
@@ -128,31 +145,51 @@ def _canonically(heading: str) -> tuple[str, str] | None:
             return quantity, ""
         for name in (quantity, *names):
             if heading.lower().startswith(name + "_"):
-                suffix = heading[len(name) + 1 :]
-                if heading.isupper():
-                    suffix = _in_small_letters(quantity, suffix)
-                # A longer word (`current_limit_A`) is another quantity, and `speed_reference` no unit; `speed_m_s` is a
-                # speed, but none of a shaft.
-                if conversion(unit, suffix) is not None or (
-                    name == quantity and _unitlike(suffix) and in_heading(suffix) is None
-                ):
+                suffix = _as_written(quantity, heading, heading[len(name) + 1 :])
+                if conversion(unit, suffix) is not None:
                     return quantity, suffix
     return None
 
 
+def _of_unknown_unit(heading: str) -> tuple[str, str] | None:
+    """A quantity's own name before what reads as a unit and is none: to be refused in words."""
+    for quantity in QUANTITIES:
+        if heading.lower().startswith(quantity + "_"):
+            suffix = heading[len(quantity) + 1 :]
+            # `speed_reference` is another quantity, and `speed_m_s` a speed, but none of a shaft.
+            if _unitlike(suffix) and in_heading(suffix) is None:
+                return quantity, suffix
+    return None
+
+
 def _freely(heading: str) -> tuple[str, str] | None:
-    """Name and unit without brackets: both must be known, and of one quantity."""
+    """Name and unit without brackets, both known and of one quantity; or a name alone."""
     if _SPEAKING.fullmatch(heading):
-        return next(
-            (q, heading) for q, (unit, _) in QUANTITIES.items() if conversion(unit, heading) is not None
-        )
+        return _speaking(heading)
     for _, unit_there in _split(heading):
         name = heading[: len(heading) - len(unit_there)]
-        name = re.sub(r"(\s+in\s+|[\s/,;.\-:(]+)$", "", name)
-        for quantity, (unit, _names) in QUANTITIES.items():
-            if unit and _is_named(quantity, name) and conversion(unit, unit_there) is not None:
-                return quantity, unit_there
-    return None
+        name = re.sub(r"(\s+in\s+|[\s_/,;.\-:(]+)$", "", name)
+        for quantity, (unit, _words) in QUANTITIES.items():
+            suffix = _as_written(quantity, heading, unit_there)
+            if unit and _is_named(quantity, name) and conversion(unit, suffix) is not None:
+                return quantity, suffix
+        # `motor_rpm`
+        if _SPEAKING.fullmatch(unit_there) and (spoken := _speaking(unit_there)):
+            if all(piece in (*_WHERE[spoken[0]], *_HOW) for piece in _pieces(name)):
+                return spoken
+    named = (
+        quantity
+        for quantity, (unit, _words) in QUANTITIES.items()
+        if unit and _is_named(quantity, heading, False)
+    )
+    return next(((quantity, "") for quantity in named), None)
+
+
+def _speaking(unit_there: str) -> tuple[str, str] | None:
+    return next(
+        ((q, unit_there) for q, (unit, _) in QUANTITIES.items() if conversion(unit, unit_there) is not None),
+        None,
+    )
 
 
 def _split(heading: str) -> Iterator[tuple[str, str]]:
@@ -162,11 +199,34 @@ def _split(heading: str) -> Iterator[tuple[str, str]]:
             yield between[0].strip() or " ", heading[between.end() :]
 
 
-def _is_named(quantity: str, name: str) -> bool:
-    """Whether a name is a word for a quantity, also beside its symbol (`Spannung U`)."""
-    names = (quantity.replace("_", ""), *QUANTITIES[quantity][1])
-    pieces = re.split(r"[\s_]+", name.strip().lower())
-    return "".join(pieces) in names or all(piece in names for piece in pieces)
+def _is_named(quantity: str, name: str, with_unit: bool = True) -> bool:
+    """Whether a name is words for a quantity (`Spannung U`), and for where or how it was measured (`motor_voltage`)."""
+    nouns = (quantity.replace("_", ""), *QUANTITIES[quantity][1])
+    if not with_unit:
+        nouns = tuple(noun for noun in nouns if noun not in _NEED_A_UNIT)
+    beside = {*_WHERE.get(quantity, ()), *_HOW}
+    pieces = _pieces(name)
+    if "".join(pieces) in nouns:
+        return True
+    # A symbol with where it was measured as its index: `ia`, `wm`, `Tload`.
+    indexed = {
+        noun + index for noun in nouns if len(noun) < 2 or noun == "omega" for index in beside - {"ist"}
+    }
+    of_it = [piece in nouns or piece in indexed for piece in pieces]
+    return any(of_it) and all(
+        is_noun or piece in beside or piece in QUANTITIES[quantity][1]
+        for piece, is_noun in zip(pieces, of_it, strict=True)
+    )
+
+
+def _pieces(name: str) -> list[str]:
+    """The words of a name in lower case: parted by blanks, signs and capitals (`MotorSpeed`)."""
+    return [piece.lower() for piece in re.split(r"[\s_./\-]+|(?<=[a-z]{2})(?=[A-Z])", name.strip()) if piece]
+
+
+def _as_written(quantity: str, heading: str, suffix: str) -> str:
+    """The unit that a suffix means: in a heading all in capitals it is written so too."""
+    return _in_small_letters(quantity, suffix) if heading.isupper() else suffix
 
 
 def _in_small_letters(quantity: str, suffix: str) -> str:
