@@ -7,8 +7,9 @@ import pytest
 from helpers import plain_motor
 from helpers.plain_motor import RATED, TYPICAL
 
+from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.input_noise import share_that_is_noise
+from motorlens_physics.estimate.input_noise import least_noise
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.estimate.weighed import first_point
 from motorlens_physics.motor import Motor
@@ -20,12 +21,13 @@ PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
     torque_Nm=RATED["load_torque"], rise_K=RATED["temperature"],
 )  # fmt: skip
+FILE = MotorFile("plate", replace(Motor(), **TYPICAL), PLATE)
 SAMPLES, ROUGH = 4000, {"voltage": 0.5, "load_torque": 0.05}
 SENSORS = {"current": 0.02, "speed": 0.1}
 
 
 def shares(period_s: float, of_sensor: float, seed: int, *, samples: int = SAMPLES) -> np.ndarray:
-    """What is found of inputs of whose roughness this share of the variance is noise of their sensors."""
+    """What share is found of inputs of whose roughness this share of the variance is noise of their sensors."""
     rng = np.random.default_rng(seed)
     corners = np.linspace(0, samples, 12)
     smooth = {
@@ -41,16 +43,10 @@ def shares(period_s: float, of_sensor: float, seed: int, *, samples: int = SAMPL
     states = plain_motor.simulated(TYPICAL, applied["voltage"], applied["load_torque"], test)
     for k, (name, sd) in enumerate(SENSORS.items()):
         seen[name] = states[:, k] + sd * rng.standard_normal(samples)
-    motor = replace(
-        Motor(),
-        **{key: TYPICAL[key] for key in ("R_a0", "L", "ke", "J", "b", "alpha", "k0", "kT", "k_ir", "H")},
-    )
-    file = MotorFile("plate", motor, PLATE)
-    runs = prepare_all([Recording("rough.csv", period_s * np.arange(samples), seen)], file)
-    (part,) = first_point(start_model(file, runs), runs).parts
-    return share_that_is_noise(
-        part.frame.model, part.run, 0, part.linear, part.error, part.columns, part.used
-    )
+    runs = prepare_all([Recording("rough.csv", period_s * np.arange(samples), seen)], FILE)
+    (part,) = first_point(start_model(FILE, runs), runs).parts
+    least = least_noise(part.frame.model, part.run, 0, part.linear, part.error, part.columns, part.used)
+    return least / np.square([*ROUGH.values()])
 
 
 @pytest.mark.fit
@@ -71,3 +67,27 @@ def test_no_more_is_noise_than_the_errors_tell() -> None:
     # In a tenth of a second the inertia hides what a load does from one sample to the next.
     _, load = shares(1e-3, 1.0, 0, samples=100)
     assert load < 0.1
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_smooth_drive_bends_by_is_no_noise(seed: int) -> None:
+    period_s, samples, noise = 1e-2, 4000, {"voltage": 0.5, "current": 0.3, "speed": 0.5}
+    swept_Hz = np.linspace(0.5, 6.0, samples)
+    voltage = 0.9 * RATED["voltage"] * np.sin(2 * np.pi * period_s * np.cumsum(swept_Hz))
+    # Half of the time it bends from one sample to the next by more than its sensor errs.
+    assert np.median(np.abs(np.diff(voltage, 2))) > 3 * np.sqrt(6) * noise["voltage"]
+    test = plain_motor.Test(period_s, samples, 1, True, 0.0)
+    states = plain_motor.simulated(TYPICAL, voltage, np.zeros(samples), test)
+    rng = np.random.default_rng(seed)
+    true = {"voltage": voltage, "current": states[:, 0], "speed": states[:, 1]}
+    seen = {name: y + noise[name] * rng.standard_normal(samples) for name, y in true.items()}
+    found = estimate(FILE, prepare_all([Recording("swept.csv", period_s * np.arange(samples), seen)], FILE))
+    of_it = found.runs[0].noise
+    assert of_it is not None
+    assert np.sqrt(of_it.least[0]) < 1.1 * noise["voltage"]
+    assert np.sqrt(of_it.disturbances[0]) == pytest.approx(noise["voltage"], rel=0.3)
+    sd = dict(zip(found.fit.prior.keys, np.sqrt(np.diagonal(found.fit.covariance)), strict=True))
+    off = {key: (found.fit.model.values()[key] - TYPICAL[key]) / sd[key] for key in ("R_a0", "L", "ke", "J")}
+    assert max(map(abs, off.values())) < 3, off
+    assert sd["L"] < 0.1 * TYPICAL["L"] and sd["ke"] < 0.01 * TYPICAL["ke"] and sd["J"] < 0.01 * TYPICAL["J"]

@@ -26,7 +26,7 @@ DEVIATIONS = 2.0
 RIDGE = 1e-6
 
 
-def share_that_is_noise(
+def least_noise(
     model: Model,
     run: Run,
     r: int,
@@ -35,7 +35,7 @@ def share_that_is_noise(
     columns: Array,
     used: NDArray[np.bool_],
 ) -> Array:
-    """(2,) least share of the variance by which voltage and load torque are rough that is noise of their sensors.
+    """(2,) least variance of what is rough of voltage (V^2) and load torque ((N m)^2) that is noise of their sensors.
 
     Second differences of errors are regressed on those of the motor's response to the inputs' roughness, beside all that a
     change of the parameters would do; blocks of time tell the scatter.
@@ -49,7 +49,7 @@ def share_that_is_noise(
         columns: (N, C, k) sensitivities to the parameters.
         used: (N, C) samples that count.
     """
-    shares = np.zeros(2)
+    least = np.zeros(2)
     inputs = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
     rough = [u - smoothed(u, step) for u, step in zip(inputs, run.input_step, strict=True)]
     rough[1] = rough[1] * ("load_torque" in run.known)
@@ -58,7 +58,7 @@ def share_that_is_noise(
         rough[0] = rough[0] * (run.inputs.terminal == Terminal.DRIVEN)
     there = [which for which in range(2) if np.any(rough[which])]
     if not there:
-        return shares
+        return least
     nothing = np.zeros(len(error))
     responses = [
         -response_to_inputs(model, run, r, linear, *(rough[q] if q == which else nothing for q in range(2)))
@@ -78,5 +78,6 @@ def share_that_is_noise(
     scores = x * (y - x @ told)[:, None]
     pieces = np.add.reduceat(scores, np.arange(0, len(scores), PIECE * second.shape[1]), axis=0)
     sd = np.sqrt(np.diagonal(inverse @ (pieces.T @ pieces) @ inverse))
-    shares[there] = np.clip(told - DEVIATIONS * sd, 0.0, 1.0)[: len(there)]
-    return shares
+    share = np.clip(told - DEVIATIONS * sd, 0.0, 1.0)[: len(there)]
+    least[there] = share * [np.mean(rough[which] ** 2) for which in there]
+    return least

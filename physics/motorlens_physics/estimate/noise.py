@@ -75,10 +75,10 @@ class Noise:
             disturbances=np.clip(disturbances, least, self.most),
         )
 
-    def followed(self, shares: Array) -> "Noise":
-        """With inputs of whose seeming noise these shares (2,) of the variance at least are noise."""
+    def followed(self, variances: Array) -> "Noise":
+        """With inputs that are as noisy as these variances (2,) at least, V^2 and (N m)^2."""
         least = np.zeros_like(self.least)
-        least[:TORQUE] = shares * self.most[:TORQUE] / MOST_OF_LOOKS
+        least[:TORQUE] = variances
         return replace(self, least=least).within(self.channels, self.disturbances)
 
     def like(self, other: "Noise") -> "Noise":

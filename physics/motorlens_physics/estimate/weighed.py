@@ -16,7 +16,7 @@ from scipy.special import chdtri
 from motorlens_physics.conditions import Terminal
 from motorlens_physics.estimate.fit import minimise
 from motorlens_physics.estimate.innovations import Read, Sums, disturbances, read, sums
-from motorlens_physics.estimate.input_noise import share_that_is_noise
+from motorlens_physics.estimate.input_noise import least_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise
 from motorlens_physics.estimate.noise_likelihood import coloured, lasting, likelier
@@ -112,10 +112,10 @@ class Errors:
     def with_rough_inputs(self, recorded: "Errors") -> "Errors":
         """With inputs as noisy at least as errors say that follow their roughness, seen along the inputs as `recorded`."""
         frame = recorded.frame
-        shares = share_that_is_noise(
+        least = least_noise(
             frame.model, recorded.run, frame.r, frame.linear, recorded.error, recorded.columns, self.used
         )
-        return self if not shares.any() else replace(self, noise=self.noise.followed(shares))
+        return self if not least.any() else replace(self, noise=self.noise.followed(least))
 
     def with_duration(self) -> "Errors":
         """With an unmeasured torque that lasts as long as is likeliest."""
