@@ -57,7 +57,9 @@ class Residual:
     def of(cls, lines: Sequence[Line], rests: Iterable[Array]) -> "Residual":
         """Of what is left (N, C) of each run."""
         each = zip(lines, rests, strict=True)
-        samples = (_unlikely(line, _likeliest(_noise(line), line, rest), rest) for line, rest in each)
+        samples = (
+            unlikely_samples(line, likeliest_noise(noise_of(line), line, rest), rest) for line, rest in each
+        )
         return cls(tuple(samples), layout(lines))
 
     @property
@@ -94,7 +96,7 @@ class Standing:
     @cached_property
     def noises(self) -> tuple[Noise, ...]:
         """Of each run, as the fit found it."""
-        return tuple(_noise(line) for line in self.lines)
+        return tuple(noise_of(line) for line in self.lines)
 
     @cached_property
     def lenses(self) -> tuple[Lens, Lens]:
@@ -217,7 +219,7 @@ def summed(fitted: Fitted, hypotheses: Sequence[Hypothesis] = ()) -> tuple[Ledge
         ModelError: the model cannot be simulated.
     """
     lines = _lines(fitted, fitted.runs)
-    noises = [_noise(line) for line in lines]
+    noises = [noise_of(line) for line in lines]
     coloured, white = ledgers(lines, (Lens(noises), Lens(noises, plain=True)), fitted.prior, hypotheses)
     return coloured, white
 
@@ -243,12 +245,12 @@ def unlikely_from(here: Standing, fitted: Fitted) -> float:
     return residual_of(here, fitted).unlikely
 
 
-def _likeliest(noise: Noise, line: Line, rest: Array) -> Noise:
+def likeliest_noise(noise: Noise, line: Line, rest: Array) -> Noise:
     """The noise under which what is left (N, C) is likeliest, from another."""
     return likelier(noise, line.run, line.linear, rest, line.run.there, THOROUGHLY)[0]
 
 
-def _unlikely(line: Line, noise: Noise, rest: Array) -> Array:
+def unlikely_samples(line: Line, noise: Noise, rest: Array) -> Array:
     """(N,) how unlikely each sample of what is left (N, C) is under a noise: twice the negative logarithm."""
     seen = read(noise.space(line.run, line.linear, line.run.there), rest)
     return np.asarray(np.sum(np.where(line.run.rests[:, None], seen.deviance, seen.unlikely), axis=1))
@@ -269,11 +271,16 @@ def _left_by(here: Standing, fitted: Fitted) -> list[Array]:
 
 def of_instruments(line: Line) -> Noise:
     """The noise of a run if no torque was left unmeasured, and no noise lasts."""
-    noise = _noise(line)
+    return likeliest_without(line, UNEXPLAINED)
+
+
+def likeliest_without(line: Line, which: slice) -> Noise:
+    """The likeliest noise of a run that has none of these disturbances."""
+    noise = noise_of(line)
     most = noise.most.copy()
-    most[UNEXPLAINED] *= NEGLIGIBLE
+    most[which] *= NEGLIGIBLE
     pinned = replace(noise, most=most, disturbances=np.minimum(noise.disturbances, most))
-    return _likeliest(pinned, line, line.error)
+    return likeliest_noise(pinned, line, line.error)
 
 
 def _strongest(
@@ -302,7 +309,8 @@ def _challenger(
     """A hypothesis of a look under the noise that its best size leaves; None where that leaves nothing of it."""
     rests = seen.rests(score)
     found = [
-        _likeliest(noise, line, rest) for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
+        likeliest_noise(noise, line, rest)
+        for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
     ]
     likely = [_no_more_than(noise, other) for noise, other in zip(noises, found, strict=True)]
     book, (entry,) = seen.entries([score], seen.lines, Lens(likely, rests), prior)
@@ -311,7 +319,7 @@ def _challenger(
         return None
     own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis)).doubted(score.doubt)
     each = zip(seen.lines, found, rests, strict=True)
-    won = unlikely - sum(float(np.sum(_unlikely(line, noise, rest))) for line, noise, rest in each)
+    won = unlikely - sum(float(np.sum(unlikely_samples(line, noise, rest))) for line, noise, rest in each)
     if not own.entry.hypothesis.named:
         # Under a noise of its own a term may seem to win what it has lost by parting with a likelier noise. What a name wins
         # is told when it is fitted in full: far from null the linearised problem leaves more than the name does.
@@ -326,7 +334,12 @@ def _no_more_than(noise: Noise, other: Noise) -> Noise:
     return replace(noise, disturbances=disturbances)
 
 
-def _noise(line: Line) -> Noise:
+def noise_of(line: Line) -> Noise:
+    """The noise that a fit found in a run.
+
+    Raises:
+        ModelError: no fit has looked for it.
+    """
     if line.run.noise is None:
         raise ModelError(f"{line.run.name}: no noise was found in it")
     return line.run.noise

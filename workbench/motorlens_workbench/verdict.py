@@ -18,6 +18,7 @@ from motorlens_workbench.criteria import CRITERIA, INTERVAL
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.held_out import by_run, fitted_errors
 from motorlens_workbench.evidence.score import Score
+from motorlens_workbench.evidence.unmeasured_torque import UnmeasuredTorque, unmeasured_torque
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.hypotheses.courses import parameters_of
 from motorlens_workbench.standing import Standing
@@ -37,6 +38,7 @@ class Verdict:
         equation: which balance fails; None where none does.
         probability: of every hypothesis, that it is what is missing.
         shape: the term without a name that remains; None if none does.
+        torque: what nobody measured of the shaft, where that explains more of what is left than any such term.
         contradicted: parameters that are far from the motor file, where nothing else is missing: one of the two is wrong; or
             without the names `instead`, which they make up for.
         instead: of the chosen ones, those for which nothing speaks but that.
@@ -49,6 +51,7 @@ class Verdict:
     equation: str | None
     probability: Mapping[str, float]
     shape: Score | None
+    torque: UnmeasuredTorque | None
     contradicted: tuple[str, ...]
     instead: tuple[str, ...]
     untold: tuple[str, ...]
@@ -81,6 +84,12 @@ def settle(found: Finding) -> Verdict:
     groups = [*((name,) for name in dead), *(group for group in groups if group[0] not in dead)]
     last = outcome.last
     shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
+    torque = unmeasured_torque(last) if kind == "unknown" and outcome.unnamed is None else None
+    if torque is not None and torque.won > last.book.colour:
+        shape, equation = None, "mechanical"
+    else:
+        # What is left is correlated beside such a torque too.
+        torque = None
     contradicted: tuple[str, ...] = ()
     if kind != "unknown" and not dead:
         contradicted = tuple(dict.fromkeys(key for one in outcome.accepted for key in one.made_up_for))
@@ -96,6 +105,7 @@ def settle(found: Finding) -> Verdict:
         equation,
         probability,
         shape,
+        torque,
         contradicted,
         tuple(one.hypothesis.name for one in instead),
         tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),

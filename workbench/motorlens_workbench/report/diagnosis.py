@@ -11,9 +11,10 @@ from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.look import best_of
+from motorlens_workbench.evidence.unmeasured_torque import UnmeasuredTorque
 from motorlens_workbench.hypotheses.changes import Change
 from motorlens_workbench.hypotheses.courses import Course
-from motorlens_workbench.report.json import least_text, next_command, risen, size_text
+from motorlens_workbench.report.json import course, least_text, next_command, risen, size_text
 from motorlens_workbench.report.overlay import overlay
 from motorlens_workbench.report.page import Page, Section, significant, unit_text
 from motorlens_workbench.report.pictures import Bar, Bars, Cell, Fact, Grid, Plot, Table, curves
@@ -40,7 +41,7 @@ def to_html(found: Finding, verdict: Verdict, document: dict[str, Any], command:
     """The page of `--html`."""
     summary = [*_next_step(document), *document["cannot_tell"]]
     sections = []
-    if verdict.shape is not None:
+    if verdict.torque is not None or verdict.shape is not None:
         sections.append(Section("The shape of what is missing", [_shape(verdict)]))
     sections += [
         Section("Measured and predicted", _overlays(found, document)),
@@ -84,15 +85,14 @@ def _next_step(document: dict[str, Any]) -> list[str]:
 
 
 def _shape(verdict: Verdict) -> Plot:
-    score = verdict.shape
-    assert score is not None
-    shape: Any = score.entry.shape
-    x, y, sd = shape.values(score.coefficient, score.covariance)
+    shape, x, y, sd = course(verdict)
     caption = (
         "Added to the right-hand side of its balance, after the base parameters have explained what they can; what they can "
         "imitate (an offset, a slope) is not in it. Shaded: the 90 % band."
     )
     label, line = f"{shape.term}, {shape.unit}", "missing term"
+    if isinstance(shape, UnmeasuredTorque):
+        caption = "What drove the shaft beside the motor, as the smoother of its errors has it. Shaded: the 90 % band."
     if isinstance(shape, Course | Change):
         label, line = f"change of {label}", "change"
         caption = "How far the parameter is from the constant that fits best. Shaded: the 90 % band."

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_workbench.contest.needed import needed_weight
@@ -32,6 +33,8 @@ from motorlens_workbench.verdict import (
     sizes,
     told_together,
 )
+
+Array = NDArray[np.float64]
 
 SHOWN = 12
 # What is likelier by chance than this is not seen.
@@ -82,14 +85,23 @@ def to_json(
             "parameters": list(verdict.contradicted),
             "or_missing": list(verdict.instead),
         }
-    if verdict.shape is not None:
-        shape: Any = verdict.shape.entry.shape
-        x, y, sd = shape.values(verdict.shape.coefficient, verdict.shape.covariance)
+    if verdict.torque is not None or verdict.shape is not None:
+        shape, x, y, sd = course(verdict)
         document["unknown_shape"] = {
             "term": shape.term, "against": shape.against, "unit": shape.unit,
             "x": x.tolist(), "y": y.tolist(), "sd": sd.tolist(),
         }  # fmt: skip
     return document
+
+
+def course(verdict: Verdict) -> tuple[Any, Array, Array, Array]:
+    """What has no name: its shape, and (k,) against what, how large it is there, and the standard deviation of that."""
+    if verdict.torque is not None:
+        seen = verdict.torque
+        return seen, seen.time_s, seen.torque_Nm, np.full(len(seen.time_s), seen.sd_Nm)
+    assert verdict.shape is not None
+    shape: Any = verdict.shape.entry.shape
+    return shape, *shape.values(verdict.shape.coefficient, verdict.shape.covariance)
 
 
 def _needed(found: Finding) -> float | None:
@@ -188,8 +200,7 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     if verdict.contradicted:
         return _or_the_file(verdict, dict(zip(verdict.chosen, offered, strict=True)))
     if verdict.kind == "unknown":
-        assert verdict.shape is not None
-        rest = f"{_shape(verdict.shape)}"
+        rest = _shape(verdict)
         if offered:
             return (
                 f"Missing: {'; and '.join(offered)}; and in the {verdict.equation} equation something is left that no "
@@ -216,7 +227,15 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _shape(score: Score) -> str:
+def _shape(verdict: Verdict) -> str:
+    if verdict.torque is not None:
+        seen = verdict.torque
+        return (
+            f"a torque over time, {float(np.ptp(seen.torque_Nm)):.2g} {seen.unit} from the least to the most in "
+            f"{seen.recording}, as a load is that nobody measured"
+        )
+    assert verdict.shape is not None
+    score = verdict.shape
     shape: Any = score.entry.shape
     if isinstance(shape, Memory):
         return f"it follows the past of the {shape.past} and is shown against the frequency of that, in {shape.unit}"
