@@ -5,12 +5,15 @@ still far off, it is what the recordings show instead: a load, more often than n
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.estimate.innovations import disturbances, read
-from motorlens_physics.estimate.noise import TORQUE
+from motorlens_physics.estimate.noise import TORQUE, Noise
+from motorlens_physics.estimate.signals import decaying
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.standing import Standing, likeliest_without, noise_of, unlikely_samples
 
@@ -28,7 +31,7 @@ class UnmeasuredTorque:
         recording: in which it tells most.
         time_s: (k,) in it.
         torque_Nm: (k,) expected there, given all that was measured.
-        sd_Nm: what that is good to.
+        sd_Nm: what that is good to, in the mean of all samples.
         won: by all recordings, twice the logarithm of how much likelier they are with such a torque than without.
     """
 
@@ -47,17 +50,17 @@ def unmeasured_torque(here: Standing) -> UnmeasuredTorque:
     won = [_won(line) for line in here.lines]
     line = here.lines[int(np.argmax(won))]
     noise, time = noise_of(line), line.run.inputs.time_s
-    seen, _, _ = disturbances(*_heard(line))
-    torque = seen[:, TORQUE]
-    # At the likeliest variance that is the square of what is expected, and of how uncertain that is, in the mean.
-    left = float(noise.disturbances[TORQUE] - np.mean(torque**2))
+    torque, drawn = _expected(line, noise, line.error), _drawn(line, noise)
+    # How far the smoother is off does not depend on what it smooths (Durbin and Koopman 2012,
+    # doi:10.1093/acprof:oso/9780199641178.001.0001, section 4.9).
+    off = _expected(line, noise, drawn.error) - drawn.torque_Nm
     begins = np.unique(np.linspace(0, len(time), POINTS, endpoint=False).astype(int))
     counts = np.diff(np.append(begins, len(time)))
     return UnmeasuredTorque(
         line.run.name,
         np.add.reduceat(time, begins) / counts,
         np.add.reduceat(torque, begins) / counts,
-        float(np.sqrt(max(left, 0.0))),
+        float(np.sqrt(np.mean(off**2))),
         sum(won),
     )
 
@@ -70,6 +73,33 @@ def _won(line: Line) -> float:
     return without - with_it
 
 
-def _heard(line: Line):  # type: ignore[no-untyped-def]
-    heard = read(noise_of(line).space(line.run, line.linear, line.run.there), line.error)
-    return heard.space, heard.filtered
+def _expected(line: Line, noise: Noise, error: Array) -> Array:
+    """(N,) the torque that errors (N, C) show."""
+    heard = read(noise.space(line.run, line.linear, line.run.there), error)
+    seen, _, _ = disturbances(heard.space, heard.filtered)
+    return np.asarray(seen[:, TORQUE])
+
+
+class _Drawn(NamedTuple):
+    torque_Nm: Array
+    error: Array
+
+
+def _drawn(line: Line, noise: Noise) -> _Drawn:
+    """A torque (N,) as it may be, and the errors (N, C) that it leaves beside all other noise of the run."""
+    run, rng = line.run, np.random.default_rng(0)
+    none = np.zeros(len(line.error))
+
+    def lasting(variance: float, lasts_s: float) -> Array:
+        keep = float(np.exp(-run.period_s / lasts_s))
+        return decaying(np.sqrt(variance * (1 - keep**2)) * rng.standard_normal(len(none)), keep)
+
+    torque = lasting(noise.disturbances[TORQUE], noise.lasts_s[TORQUE])
+    error = line.of_forcing(Forcing(none, torque, none))[:, :, 0]
+    voltage, load = noise.drawn(run, rng).T
+    error += line.of_forcing(Forcing(voltage, load, none), held=run.inputs.hold)[:, :, 0]
+    error += np.sqrt(noise.channels) * rng.standard_normal(error.shape)
+    for c, variance in enumerate(noise.lasting_of_channels(run)):
+        if variance > 0:
+            error[:, c] += lasting(variance, noise.lasts_s[-1])
+    return _Drawn(torque, error)

@@ -1,0 +1,51 @@
+"""A load that nobody measured is told as a torque over time, not as a term that happens to be the largest by chance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import plain_motor
+from helpers.plain_motor import RATED, TYPICAL
+
+from motorlens_physics.motor import Motor
+from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.parameter import Rated
+from motorlens_physics.recording import Recording
+from motorlens_workbench.diagnose import diagnose
+from motorlens_workbench.report.json import sentence, to_json
+from motorlens_workbench.verdict import settle
+
+PLATE = Rated(
+    voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
+    torque_Nm=RATED["load_torque"], rise_K=RATED["temperature"],
+)  # fmt: skip
+PERIOD_S, SAMPLES = 5e-3, 4000
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("seed", range(2))
+def test_a_load_in_steps_that_nobody_measured(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    voltage = np.repeat(rng.uniform(0.2, 1.0, SAMPLES // 100) * RATED["voltage"], 100)
+    load = np.repeat(rng.uniform(0.0, 0.6, SAMPLES // 400) * RATED["load_torque"], 400)
+    test = plain_motor.Test(PERIOD_S, SAMPLES, 100, True, 0.0)
+    states = plain_motor.simulated(TYPICAL, voltage, load, test)
+    seen = {
+        "voltage": voltage + 0.1 * rng.standard_normal(SAMPLES),
+        "current": states[:, 0] + 0.02 * rng.standard_normal(SAMPLES),
+        "speed": states[:, 1] + 0.3 * rng.standard_normal(SAMPLES),
+    }
+    file = MotorFile("plate", replace(Motor(), **TYPICAL), PLATE)
+    found = diagnose(file, [Recording("loaded.csv", PERIOD_S * np.arange(SAMPLES), seen)])
+    verdict = settle(found)
+    assert (verdict.kind, verdict.equation, verdict.chosen) == ("unknown", "mechanical", ())
+    assert verdict.torque is not None and verdict.shape is None
+    assert "a torque over time" in sentence(found, verdict)
+    shown = to_json(found, verdict, None, ["loaded.csv"], "plate.toml")["unknown_shape"]
+    assert (shown["term"], shown["against"], shown["unit"]) == ("torque", "time", "N*m")
+    # A load brakes; a constant one passes for another motor, friction and constant torque.
+    true, told = -np.interp(shown["x"], PERIOD_S * np.arange(SAMPLES), load), np.array(shown["y"])
+    assert np.corrcoef(true, told)[0, 1] > 0.95
+    assert np.std(told) == pytest.approx(np.std(true), rel=0.2)
+    # It is good to what it says, but for the flanks, which are no such noise, and for what a constant may be.
+    assert 0.2 < np.std(told - true) / shown["sd"][0] < 2.0
