@@ -30,8 +30,8 @@ class Parameter:
         null: the value at which the effect vanishes; None for a parameter that only shapes it.
         fixed: stated by choice, never calibrated (the width of a smoothing, a number of slots).
         role: "phase" of the shaft's angle, "count" of periods a revolution, "width" of a transition that may be sharper than
-            any recording tells, "knee" of how sharply it bends, which hardly shows until all else is right; "" for anything
-            else.
+            any recording tells, "onset" where one has built up, "knee" of how sharply it bends, which hardly shows until all
+            else is right, "share" of something that may do nothing; "" for anything else.
     """
 
     name: str

@@ -13,7 +13,7 @@ class BrushVoltageDrop(Effect):
     """A voltage drop at the brushes that hardly depends on the current: -V_b s(i), always against the current.
 
     s(i) = i / (|i|^m + i_s^m)^(1/m) is a smooth sign, whose knee differs from brush to brush. The drop times the current
-    heats the commutator, which shares its heat with the winding: +V_b s(i) i.
+    heats brushes and commutator, of which a share h reaches the winding: +h V_b s(i) i.
     IEEE Std 113-1985, Guide: Test Procedures for Direct-Current Machines, 5.7 (2 V for a pair of carbon brushes).
 
     >>> from types import SimpleNamespace as At
@@ -33,11 +33,15 @@ class BrushVoltageDrop(Effect):
         bounds=(1e-4, 100.0),
         prior=0.02,
         of="current",
+        role="onset",
     )
     m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0, role="knee")
+    h: float = param(
+        1.0, "1", "share of its heat that warms the winding", bounds=(0.0, 1.0), prior=0.5, role="share"
+    )
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
         return -self.V_b * saturated(x.i, self.i_s, self.m)
 
     def heat(self, m: Any, x: Any, u: Any) -> Any:
-        return self.V_b * saturated(x.i, self.i_s, self.m) * x.i
+        return self.h * self.V_b * saturated(x.i, self.i_s, self.m) * x.i

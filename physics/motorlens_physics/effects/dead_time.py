@@ -34,6 +34,7 @@ class DeadTime(Effect):
         bounds=(1e-4, 100.0),
         prior=0.05,
         of="current",
+        role="onset",
     )
     m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0, role="knee")
 

@@ -13,6 +13,7 @@ from motorlens_workbench.evidence.ledger import Ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted, Fitted
+from motorlens_workbench.hypotheses.effects import EffectShape, times_as_much
 from motorlens_workbench.standing import Standing
 
 
@@ -59,6 +60,9 @@ def rivals_in(book: Ledger, fitted: Fitted, accepted: Accepted) -> Rivals:
     itself = own_score(book, fitted, accepted.hypothesis)
     if itself is None:
         return Rivals(name, {name: 1.0}, scores)
+    # What adds the same to the balances explains as much, however well a shape that is sampled shows it.
+    twins = _twins(book, fitted, accepted, itself)
+    scores.update(twins)
     # What the model leaves out lets rivals differ by a share of what the accepted one explains.
     scatter = itself.scatter + CRITERIA.alike * itself.gain
     # Its own column is per standard deviation of its prior, that of a rival per typical size.
@@ -73,9 +77,35 @@ def rivals_in(book: Ledger, fitted: Fitted, accepted: Accepted) -> Rivals:
         if score.entry.hypothesis.named
         and (other == name or score.gain >= as_much or log_bayes_factor(score, itself.scatter) > 0)
     }
+    for other in twins:
+        weights[other] += _share(scores[other])
     for other, less in accepted.beside.items():
         weights[other] = max(weights.get(other, -np.inf), weights[name] + less)
     # What has been fitted there needs no linearisation.
     weights |= {other: weights[name] + more for other, more in accepted.instead.items()}
     total = logsumexp(list(weights.values()))
     return Rivals(name, {other: float(np.exp(w - total)) for other, w in weights.items()}, scores)
+
+
+def _twins(book: Ledger, fitted: Fitted, accepted: Accepted, itself: Score) -> dict[str, Score]:
+    """The scores of hypotheses of which a shape adds to the balances what an accepted one does."""
+    motor = fitted.model.file.motor
+    effect = motor.effect(accepted.hypothesis.name)
+    if effect is None:
+        return {}
+    found = {}
+    for entry in book.entries:
+        shape = entry.shape
+        if isinstance(shape, EffectShape) and shape.width == 1 and entry.hypothesis.named:
+            times = times_as_much(shape.parts[0], effect, motor)
+            if times is not None:
+                alike = itself.in_units(float(itself.coefficient[0]) * times)
+                found[entry.hypothesis.name] = replace(alike, entry=replace(entry, cross=itself.entry.cross))
+    return found
+
+
+def _share(score: Score) -> float:
+    """How likely the shares are beforehand that a shape leaves undone: a logarithm, nought where that is none."""
+    (part,) = score.entry.shape.parts  # type: ignore[attr-defined]
+    shares = [meaning for meaning in part.parameters().values() if meaning.role == "share"]
+    return float(-0.5 * sum(((getattr(part, one.name) - one.default) / one.prior) ** 2 for one in shares))

@@ -7,6 +7,7 @@ node, are seen). Effects with a state of their own have it integrated along. Sha
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.estimate.forcing import Forcing, forcing
 from motorlens_physics.estimate.shaft import turning
+from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
@@ -21,6 +23,8 @@ from motorlens_workbench.hypotheses.line import Line
 Array = NDArray[np.float64]
 
 EQUATIONS = {"voltage": "electrical", "torque": "mechanical", "heat": "thermal"}
+# Samples of states at which two effects are compared.
+PROBES = 64
 # Numbers of periods a revolution that machines have: products and least common multiples of slots and poles.
 COUNTS = (4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 16, 18, 20, 24)
 
@@ -95,7 +99,7 @@ def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]
             counted = typical if number is None else replace(typical, **{count: float(number)})
             yield tuple(replace(counted, **{phase: angle}) for angle in (0.0, np.pi / 2))
         return
-    free = [p for p in effect.parameters().values() if p.null is None and not p.fixed]
+    free = [p for p in effect.parameters().values() if p.null is None and not p.fixed and p.role != "share"]
     grids = {p.name: p.typical(file.rated) for p in free}
     within = {p.name: p.bounds for p in free}
 
@@ -120,6 +124,43 @@ def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]
         for scale in (0.2, 1.0, 5.0):
             for factor in (0.3, 1.0, 3.0):
                 yield scaled({p.name: scale for p in free} | {last: factor})
+        # Built up where another effect has, and as sharply; of a share that the other has not, nothing.
+        for other in file.motor.effects:
+            if other.with_role("onset") and effect.with_role("onset"):
+                alike = {
+                    p.name: getattr(other, name) if (name := other.with_role(p.role)) else 0.0
+                    for p in effect.parameters().values()
+                    if p.role in ("onset", "knee", "share")
+                }
+                yield (replace(typical, **alike),)
+
+
+def times_as_much(effect: Effect, other: Effect, motor: Motor) -> float | None:
+    """How many times as much an effect adds to every balance as another does; None if it adds anything else.
+
+    >>> from motorlens_physics.effects.brush_voltage_drop import BrushVoltageDrop
+    >>> from motorlens_physics.effects.dead_time import DeadTime
+    >>> dead, cold = DeadTime(V_dt=0.5, i_r=0.1), BrushVoltageDrop(V_b=1.0, i_s=0.1, h=0.0)
+    >>> times_as_much(cold, dead, Motor()), times_as_much(replace(cold, h=1.0), dead, Motor())
+    (2.0, None)
+    """
+    if effect.states or other.states:
+        return None
+    rng = np.random.default_rng(0)
+    # States and inputs of any motor: equal functions are equal anywhere.
+    x, u = (
+        SimpleNamespace(**dict(zip(names, rng.standard_normal((len(names), PROBES)), strict=True)))
+        for names in (("i", "w", "theta"), ("v", "load", "ambient", "t"))
+    )
+    balances = ("voltage", "torque", "heat", "inductance")
+    one, two = (
+        np.concatenate([np.broadcast_to(getattr(part, name)(motor, x, u), PROBES) for name in balances])
+        for part in (effect, other)
+    )
+    times = float(one @ two / (two @ two)) if two.any() else 0.0
+    return (
+        times if times and np.allclose(one, times * two, rtol=1e-9, atol=1e-9 * np.max(np.abs(one))) else None
+    )
 
 
 def angle_of(effect: type[Effect]) -> str:
