@@ -60,6 +60,20 @@ def test_what_was_put_in_stays_and_nothing_is_counted_against_it_that_is_less_li
 
 
 @pytest.mark.fit
+def test_a_drop_that_heats_nothing_is_a_rival_of_a_dead_time_and_explains_exactly_as_much(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    hidden = [{"name": "dead_time", "size": 0.8, "shape": {}}]
+    place = tmp_path_factory.mktemp("dead")
+    here, one = entered(textbook_on(place, "servo_24V", hidden, "load_steps", 12.0), "dead_time")
+    assert "temperature" in here.lines[0].run.channels
+    likely, scores = rivals_of(here, one).probability, rivals_of(here, one).scores
+    # A share of nothing of its heat is two deviations from all of it: exp(-2) as likely.
+    assert likely["brush_voltage_drop"] / likely["dead_time"] == pytest.approx(np.exp(-2), rel=0.02)
+    assert scores["brush_voltage_drop"].gain == scores["dead_time"].gain > 100
+
+
+@pytest.mark.fit
 def test_what_explains_as_much_is_a_rival_where_hardly_anything_is_likelier_than_nothing(
     bare: Standing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
