@@ -31,7 +31,7 @@ class Parameter:
         fixed: stated by choice, never calibrated (the width of a smoothing, a number of slots).
         role: "phase" of the shaft's angle, "count" of periods a revolution, "width" of a transition that may be sharper than
             any recording tells, "onset" where one has built up, "knee" of how sharply it bends, which hardly shows until all
-            else is right, "share" of something that may do nothing; "" for anything else.
+            else is right, "share" of an effect that may be left undone; "" for anything else.
     """
 
     name: str

@@ -68,8 +68,8 @@ def test_a_drop_that_heats_nothing_is_a_rival_of_a_dead_time_and_explains_exactl
     here, one = entered(textbook_on(place, "servo_24V", hidden, "load_steps", 12.0), "dead_time")
     assert "temperature" in here.lines[0].run.channels
     likely, scores = rivals_of(here, one).probability, rivals_of(here, one).scores
-    # A share of nothing of its heat is two deviations from all of it: exp(-2) as likely.
-    assert likely["brush_voltage_drop"] / likely["dead_time"] == pytest.approx(np.exp(-2), rel=0.02)
+    # None of its heat is one deviation from all of it.
+    assert likely["brush_voltage_drop"] / likely["dead_time"] == pytest.approx(np.exp(-0.5), rel=0.02)
     assert scores["brush_voltage_drop"].gain == scores["dead_time"].gain > 100
 
 
