@@ -49,3 +49,24 @@ def test_a_load_in_steps_that_nobody_measured(seed: int) -> None:
     assert np.std(told) == pytest.approx(np.std(true), rel=0.2)
     # It is good to what it says, but for the flanks, which are no such noise, and for what a constant may be.
     assert 0.2 < np.std(told - true) / shown["sd"][0] < 2.0
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("loaded", [True, False])
+def test_a_small_one_is_said_beside_an_answer_that_nothing_is_missing(loaded: bool) -> None:
+    rng = np.random.default_rng(3)
+    voltage = np.repeat(rng.uniform(0.2, 1.0, SAMPLES // 100) * RATED["voltage"], 100)
+    load = np.where(np.arange(SAMPLES) > SAMPLES // 2, 0.1 * RATED["load_torque"], 0.0) * loaded
+    states = plain_motor.simulated(
+        TYPICAL, voltage, load, plain_motor.Test(PERIOD_S, SAMPLES, 100, True, 0.0)
+    )
+    seen = {
+        "voltage": voltage + 0.5 * rng.standard_normal(SAMPLES),
+        "current": states[:, 0] + 0.3 * rng.standard_normal(SAMPLES),
+        "speed": states[:, 1] + 2.0 * rng.standard_normal(SAMPLES),
+    }
+    file = MotorFile("plate", replace(Motor(), **TYPICAL), PLATE)
+    verdict = settle(diagnose(file, [Recording("loaded.csv", PERIOD_S * np.arange(SAMPLES), seen)]))
+    assert (verdict.kind, verdict.torque) == ("adequate", None)
+    told = [text for text in verdict.untold if "torque that nobody measured acts" in text]
+    assert len(told) == loaded

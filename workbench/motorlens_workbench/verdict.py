@@ -84,12 +84,13 @@ def settle(found: Finding) -> Verdict:
     groups = [*((name,) for name in dead), *(group for group in groups if group[0] not in dead)]
     last = outcome.last
     shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
-    torque = unmeasured_torque(last) if kind == "unknown" and outcome.unnamed is None else None
-    if torque is not None and torque.won > last.book.colour:
+    seen = unmeasured_torque(last) if kind in ("adequate", "unknown") and outcome.unnamed is None else None
+    # Unless what is left is correlated beside such a torque too.
+    torque = seen if kind == "unknown" and seen is not None and seen.won > last.book.colour else None
+    if torque is not None:
         shape, equation = None, "mechanical"
-    else:
-        # What is left is correlated beside such a torque too.
-        torque = None
+    # It is nothing that a motor lacks, but it is said.
+    beside = [_beside(seen)] if kind == "adequate" and seen is not None and seen.won > CRITERIA.white else []
     contradicted: tuple[str, ...] = ()
     if kind != "unknown" and not dead:
         contradicted = tuple(dict.fromkeys(key for one in outcome.accepted for key in one.made_up_for))
@@ -108,8 +109,12 @@ def settle(found: Finding) -> Verdict:
         torque,
         contradicted,
         tuple(one.hypothesis.name for one in instead),
-        tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
+        (*beside, *limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
     )
+
+
+def _beside(torque: UnmeasuredTorque) -> str:
+    return f"A torque that nobody measured acts on the shaft, {torque.size}: as a load does."
 
 
 def _groups(rivals: Sequence[Rivals], names: Collection[str]) -> list[tuple[str, ...]]:

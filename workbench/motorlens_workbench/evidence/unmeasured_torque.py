@@ -44,6 +44,13 @@ class UnmeasuredTorque:
     against: str = "time"
     unit: str = "N*m"
 
+    @property
+    def size(self) -> str:
+        """How large it is, for the reader."""
+        return (
+            f"{float(np.ptp(self.torque_Nm)):.2g} {self.unit} from the least to the most in {self.recording}"
+        )
+
 
 def unmeasured_torque(here: Standing) -> UnmeasuredTorque:
     """Of the model that stands."""
