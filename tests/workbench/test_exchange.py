@@ -9,6 +9,7 @@ from helpers.textbook import textbook_on, with_name
 
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest import exchange, rivals
+from motorlens_workbench.contest.contest import _needed
 from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import own_score
@@ -162,3 +163,15 @@ def test_what_could_stand_in_two_places_is_offered_where_it_is_likeliest():
     second = Rivals("friction", {"friction": 0.5, "offset": 0.2, "drop": 0.3}, {})
     names = ["drop", "offset", "friction"]
     assert _groups([first, second], names) == [("drop", "offset"), ("friction",)]
+
+
+@pytest.mark.fit
+def test_what_has_ended_at_its_null_leaves_whatever_another_size_would_explain(bare: Standing) -> None:
+    there, friction = entered(bare, "coulomb_friction")
+    nothing = there.fitted.model.with_values({friction.hypothesis.key: 0.0})
+    here = stand(replace(there.fitted, model=nothing))
+    score = own_score(here.book, here.fitted, friction.hypothesis)
+    assert score is not None and score.weight > 30
+    last = replace(friction, hypothesis=replace(friction.hypothesis, name="constant_torque"))
+    then, left = _needed(here, [friction, last], (), lambda text: None)
+    assert left == [last] and not any(key.startswith("coulomb_friction.") for key in then.fitted.prior.keys)
