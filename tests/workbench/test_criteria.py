@@ -96,7 +96,9 @@ def test_a_rival_stands_beside_a_name_where_it_explains_a_few_thousandths_less(l
     book = type(book)(
         **{**vars(book), "keys": ("name.size",), "unit": {"name.size": 1.0}, "entries": (entry,)}
     )
-    file = SimpleNamespace(meaning=lambda key: SimpleNamespace(null=0.0))
+    # An effect that is in no motor has no twin.
+    motor = SimpleNamespace(effect=lambda name: None)
+    file = SimpleNamespace(meaning=lambda key: SimpleNamespace(null=0.0), motor=motor)
     model = SimpleNamespace(file=file, values=lambda: {"name.size": size})
     here = SimpleNamespace(
         fitted=SimpleNamespace(model=model, prior=SimpleNamespace(sd={"name.size": 1.0})), book=book

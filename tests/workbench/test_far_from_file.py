@@ -73,6 +73,7 @@ def test_names_that_hold_by_themselves_are_told_in_front_of_that() -> None:
         equation="mechanical",
         probability={"brush_voltage_drop": 0.6, "dead_time": 0.4, "iron_loss_torque": 0.9},
         shape=None,
+        torque=None,
         contradicted=("b", "k_ir"),
         instead=("iron_loss_torque",),
         untold=(),

@@ -46,7 +46,7 @@ def folder(tmp_path_factory):
     ]
     assert main([*simulate, "--effect", "coulomb_friction.tau_c=0.4", "-o", str(found / "bench.csv")]) == 0
     heading, _, rows = (found / "bench.csv").read_text().partition("\n")
-    odd = heading.replace("voltage_V", "Motor Voltage measured").replace("speed_rad_s", "n")
+    odd = heading.replace("voltage_V", "Motor Voltage after bridge").replace("speed_rad_s", "n")
     (found / "odd.csv").write_text(f"{odd}\n{rows}")
     (found / "broken.csv").write_text("time_s,voltage_V,current_A\n0,1,2\n0.1,oops,2\n0.2,1,2\n")
     return found
@@ -203,17 +203,17 @@ def test_a_file_is_brought_in_looked_at_mapped_and_a_range_of_it_picked(browser,
             folder / "odd.csv"
         ).read_bytes()
         # Sample values beside the choice.
-        row = page.locator("#look-result tr", has_text="Motor Voltage measured")
+        row = page.locator("#look-result tr", has_text="Motor Voltage after bridge")
         first = (folder / "odd.csv").read_text().splitlines()[1].split(",")[1]
         assert f"{float(first):.4g}" in row.inner_text()
         # Computed from what is there, or simply one of the columns.
         page.get_by_label("what is computed").select_option("voltage")
-        page.get_by_label("formula over the columns").fill("Motor Voltage measured*1")
+        page.get_by_label("formula over the columns").fill("Motor Voltage after bridge*1")
         page.get_by_role("button", name="Use it").click()
         assert "1001 samples" in ended(page, "look", re.compile("samples"))
-        assert page.get_by_label("formula over the columns").input_value() == "Motor Voltage measured*1"
-        page.get_by_label("what Motor Voltage measured is").select_option("voltage")
-        page.locator("#look-result .command", has_text="'voltage=Motor Voltage measured'").wait_for(
+        assert page.get_by_label("formula over the columns").input_value() == "Motor Voltage after bridge*1"
+        page.get_by_label("what Motor Voltage after bridge is").select_option("voltage")
+        page.locator("#look-result .command", has_text="'voltage=Motor Voltage after bridge'").wait_for(
             timeout=STEP_MS
         )
         page.get_by_label("what n is").select_option("speed")
@@ -236,7 +236,7 @@ def test_a_file_is_brought_in_looked_at_mapped_and_a_range_of_it_picked(browser,
         page.get_by_role("button", name="Compare", exact=True).click()
         ended(page, "compare")
         command = page.locator("#compare-result pre").first.inner_text()
-        assert "--column 'voltage=Motor Voltage measured' --column speed_rpm=n" in command
+        assert "--column 'voltage=Motor Voltage after bridge' --column speed_rpm=n" in command
         assert "--range motorlens-session/files/odd.csv=3:8" in command
         assert command.endswith("--voltage-commanded --terminal driven --shaft free")
         stop = page.locator("#compare-result").get_by_label(re.compile("^to, in seconds")).input_value()

@@ -37,7 +37,7 @@ class BrushVoltageDrop(Effect):
     )
     m: float = param(2.0, "1", "sharpness of the knee", bounds=(1.5, 8.0), prior=2.0, role="knee")
     h: float = param(
-        1.0, "1", "share of its heat that warms the winding", bounds=(0.0, 1.0), prior=0.5, role="share"
+        1.0, "1", "share of its heat that warms the winding", bounds=(0.0, 1.0), prior=1.0, role="share"
     )
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
