@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
-sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve() != HERE)]
+sys.path = [str(HERE), str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve() != HERE)]
 
 from helpers.hidden.score import Rate  # noqa: E402
 
