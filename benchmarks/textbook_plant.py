@@ -68,7 +68,7 @@ BESIDE = {"Stribeck friction": ("coulomb_friction", "hysteresis_iron_loss")}
 
 @dataclass(frozen=True)
 class Lacking:
-    """What the motor file does not know; sizes in SI."""
+    """What the motor file does not know, in SI, in the order in which `_rates` takes it."""
 
     coulomb: float = 0.0
     stribeck: float = 0.0
@@ -99,9 +99,7 @@ def _rates(y: Array, v: float, load: float, m: Array, e: Array) -> Array:
     friction += cogging * np.sin(count * phi)
     dy = np.zeros(6)
     hot = R * (1 + alpha * theta)
-    dy[0] = (v - hot * i - flux * w - drop * np.tanh(i / (0.02 * rated))) / (
-        L if saturates > 1e8 else inductance
-    )
+    dy[0] = (v - hot * i - flux * w - drop * np.tanh(i / (0.02 * rated))) / inductance
     passed = stiff * twist + 0.05 * np.sqrt(stiff * J2) * (w - outer)
     dy[1] = (flux * i - friction - (passed if J2 > 0 else load)) / (J - J2)
     dy[2] = w

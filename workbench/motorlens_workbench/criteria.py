@@ -42,7 +42,7 @@ class Criteria:
         follows: error over the noise of a channel, on what was not fitted to, from which on something is missing, even if no
             hypothesis says what: more than colour and slow noise leave in worlds with nothing missing.
         white: likelihood that colour left in the noise wins, from which on something is missing likewise: as much as it wins
-            in 99 of 100 of those worlds.
+            in 99 of 100 of those worlds. Where nothing is missing, a torque that nobody measured is said from as much on.
     """
 
     excess: float = 10.0

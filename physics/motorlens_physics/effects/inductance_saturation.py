@@ -31,7 +31,6 @@ class InductanceSaturation(Effect):
         of="1/current^2",
         null=0.0,
     )
-
     r: float = param(
         0.0, "1", "share of L that does not saturate", bounds=(0.0, 0.95), prior=0.3, role="share"
     )

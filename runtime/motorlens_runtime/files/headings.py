@@ -180,7 +180,7 @@ def _freely(heading: str) -> tuple[str, str] | None:
     named = (
         quantity
         for quantity, (unit, _words) in QUANTITIES.items()
-        if unit and _is_named(quantity, heading, False)
+        if unit and _is_named(quantity, heading, with_unit=False)
     )
     return next(((quantity, "") for quantity in named), None)
 
@@ -199,7 +199,7 @@ def _split(heading: str) -> Iterator[tuple[str, str]]:
             yield between[0].strip() or " ", heading[between.end() :]
 
 
-def _is_named(quantity: str, name: str, with_unit: bool = True) -> bool:
+def _is_named(quantity: str, name: str, *, with_unit: bool = True) -> bool:
     """Whether a name is words for a quantity (`Spannung U`), and for where or how it was measured (`motor_voltage`)."""
     nouns = (quantity.replace("_", ""), *QUANTITIES[quantity][1])
     if not with_unit:
@@ -208,10 +208,8 @@ def _is_named(quantity: str, name: str, with_unit: bool = True) -> bool:
     pieces = _pieces(name)
     if "".join(pieces) in nouns:
         return True
-    # A symbol with where it was measured as its index: `ia`, `wm`, `Tload`.
-    indexed = {
-        noun + index for noun in nouns if len(noun) < 2 or noun == "omega" for index in beside - {"ist"}
-    }
+    # With where it was measured as its index: `ia`, `wm`, `vmot`.
+    indexed = {noun + index for noun in nouns for index in beside}
     of_it = [piece in nouns or piece in indexed for piece in pieces]
     return any(of_it) and all(
         is_noun or piece in beside or piece in QUANTITIES[quantity][1]

@@ -100,7 +100,7 @@ def _twins(book: Ledger, fitted: Fitted, accepted: Accepted, itself: Score) -> d
             times = times_as_much(shape.parts[0], effect, motor)
             if times is not None:
                 alike = itself.in_units(float(itself.coefficient[0]) * times)
-                found[entry.hypothesis.name] = replace(alike, entry=replace(entry, cross=itself.entry.cross))
+                found[entry.hypothesis.name] = replace(alike, entry=entry)
     return found
 
 
