@@ -39,8 +39,11 @@ SMALLEST = 1e-8
 LEAST, TINY = 1e-9, 1e-12
 # The levels of a converter are no more even than this share of a step: its differential nonlinearity.
 UNEVEN_LEVELS = 0.1
-# A measured input is no noisier than this many times the variance that it shows; nor is a channel's coloured noise.
+# Coloured noise has no more than this many times the variance that shows.
 MOST_OF_LOOKS = 1.5
+# A measured input is no noisier than the variance that it shows and two standard deviations: by this share, over the root
+# of the samples, that scatters.
+SCATTER = 3.0
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
 
@@ -234,7 +237,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
     # A load that was not measured has no noise of its own, but the slow torque.
     looks[LOAD] *= "load_torque" in run.known
     torque = torque_Nm**2
-    most = np.array([*(MOST_OF_LOOKS * looks), torque])
+    most = np.array([*(looks * (1 + 2 * SCATTER / np.sqrt(len(residual)))), torque])
     return Noise(
         np.maximum(size - run.steps**2 / 12, floor),
         np.array([*looks, SMALL_TORQUE**2 * torque]),

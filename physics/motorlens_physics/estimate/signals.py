@@ -1,5 +1,6 @@
 """How noisy a signal is, and the signal without its noise, its steps kept."""
 
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,8 @@ from scipy.linalg import solve_banded
 
 Array = NDArray[np.float64]
 
+# Of which differences of a signal noise is told.
+ORDERS = (2, 3, 4, 5, 6)
 # Samples of the shortest signal that is smoothed; the logarithm to base 2 of the fewest samples that are averaged.
 SHORTEST, FASTEST = 8, -2
 # Rounds of expectation and maximisation: the variance of a level that does not step is halved in each. What it begins with,
@@ -40,7 +43,10 @@ def decaying(y: Array, remains: float) -> Array:
 
 
 def noise_sd(y: Array, step: float = 0.0) -> float:
-    """Standard deviation of white noise on a signal that is mostly smooth, from its second differences.
+    """Standard deviation of white noise on a signal that is mostly smooth, from its differences.
+
+    Of several orders those that show the least: to the lower ones what a fast drive bends by adds, to all of them what is
+    rough besides.
 
     Args:
         y: (N,) evenly sampled.
@@ -49,7 +55,7 @@ def noise_sd(y: Array, step: float = 0.0) -> float:
     """
     if len(y) < 16:
         return 0.0
-    at_first_sight = _of_second_differences(np.diff(y, 2))
+    at_first_sight = min(_of_differences(y, order) for order in ORDERS)
     if step > 0:
         pieces = len(y) // STEADY
         cut = y[: pieces * STEADY].reshape(pieces, STEADY)
@@ -78,7 +84,7 @@ def coloured_sd(y: Array, samples: float, step: float = 0.0) -> float:
     lag = max(2, round(samples / 2))
     if len(y) < 16 * lag:
         return 0.0
-    seen = _of_second_differences(y[2 * lag :] - 2 * y[lag:-lag] + y[: -2 * lag])
+    seen = _from_differences(y[2 * lag :] - 2 * y[lag:-lag] + y[: -2 * lag])
     white = np.hypot(noise_sd(y, step), step / np.sqrt(12))
     near, far = np.exp(-1 / samples), np.exp(-lag / samples)
     share = (8 * (near - far) - 2 * (near**2 - far**2)) / 6
@@ -104,11 +110,17 @@ def roughness(error: Array, shown: Array) -> float:
     moves = ~(same[1:] & same[:-1])
     if np.count_nonzero(moves) < 14:
         return noise_sd(error)
-    return float(np.sqrt(np.mean(moves)) * _of_second_differences(np.diff(error, 2)[moves]))
+    return float(np.sqrt(np.mean(moves)) * _from_differences(np.diff(error, 2)[moves]))
 
 
-def _of_second_differences(second: Array) -> float:
-    return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6))
+def _of_differences(y: Array, order: int) -> float:
+    return _from_differences(np.diff(y, order), order)
+
+
+def _from_differences(differences: Array, order: int = 2) -> float:
+    """Standard deviation of white noise that scatters its differences of an order so much, as their median has it."""
+    deviation = 1.4826 * np.median(np.abs(differences - np.median(differences)))
+    return float(deviation / np.sqrt(comb(2 * order, order)))
 
 
 def _before_conversion(toggling: float, step: float) -> float:
