@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.innovations import StateSpace, share_that_remains
 from motorlens_physics.estimate.run import STATE_OF, Run
-from motorlens_physics.estimate.signals import NOTHING_LASTS, Lasting, coloured_sd, decaying, noise_sd
+from motorlens_physics.estimate.signals import (
+    NOTHING_LASTS,
+    Lasting,
+    coloured_sd,
+    decaying,
+    most_noise_sd,
+    noise_sd,
+)
 from motorlens_physics.sensitivity import Linearisation
 
 Array = NDArray[np.float64]
@@ -41,9 +48,6 @@ LEAST, TINY = 1e-9, 1e-12
 UNEVEN_LEVELS = 0.1
 # Coloured noise has no more than this many times the variance that shows.
 MOST_OF_LOOKS = 1.5
-# A measured input is no noisier than the variance that it shows and two standard deviations: by this share, over the root
-# of the samples, that scatters.
-SCATTER = 3.0
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
 
@@ -231,20 +235,21 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
     )
     floor = np.maximum((UNEVEN_LEVELS * run.steps) ** 2, np.maximum(LEAST * scale, TINY))
     shown = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
-    looks = np.array(
-        [noise_sd(y, step) ** 2 + step**2 / 12 for y, step in zip(shown, run.input_step, strict=True)]
+    looks, most = (
+        np.array([of(y, step) ** 2 + step**2 / 12 for y, step in zip(shown, run.input_step, strict=True)])
+        for of in (noise_sd, most_noise_sd)
     )
     # A load that was not measured has no noise of its own, but the slow torque.
-    looks[LOAD] *= "load_torque" in run.known
+    for variances in (looks, most):
+        variances[LOAD] *= "load_torque" in run.known
     torque = torque_Nm**2
-    most = np.array([*(looks * (1 + 2 * SCATTER / np.sqrt(len(residual)))), torque])
     return Noise(
         np.maximum(size - run.steps**2 / 12, floor),
         np.array([*looks, SMALL_TORQUE**2 * torque]),
-        most,
+        np.append(most, torque),
         np.array([0.0, 0.0, LASTS[1] * run.period_s]),
         floor,
-        np.zeros(len(most)),
+        np.zeros(len(BALANCES)),
     )
 
 

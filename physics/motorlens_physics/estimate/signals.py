@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 # Of which differences of a signal noise is told.
 ORDERS = (2, 3, 4, 5, 6)
+# Parts of a signal between which its noise is looked at.
+PARTS = 16
 # Samples of the shortest signal that is smoothed; the logarithm to base 2 of the fewest samples that are averaged.
 SHORTEST, FASTEST = 8, -2
 # Rounds of expectation and maximisation: the variance of a level that does not step is halved in each. What it begins with,
@@ -53,16 +55,45 @@ def noise_sd(y: Array, step: float = 0.0) -> float:
         step: least significant bit of its converter, 0 if it looks continuous. Noise below it shows in how often a steady
             signal toggles between two levels.
     """
+    return _noise_sd(y, step, 0.0)
+
+
+def most_noise_sd(y: Array, step: float = 0.0) -> float:
+    """The same of the most that it may be: two standard deviations more of its variance, as parts of the signal scatter.
+
+    Args: as of `noise_sd`.
+
+    >>> noise = np.random.default_rng(0).standard_normal(4000)
+    >>> bool(1.0 < most_noise_sd(noise) < 1.1)
+    True
+    """
+    return _noise_sd(y, step, 2.0)
+
+
+def _noise_sd(y: Array, step: float, deviations: float) -> float:
     if len(y) < 16:
         return 0.0
-    at_first_sight = min(_of_differences(y, order) for order in ORDERS)
     if step > 0:
         pieces = len(y) // STEADY
         cut = y[: pieces * STEADY].reshape(pieces, STEADY)
-        steady = cut[np.ptp(cut, axis=1) <= max(WITHIN * step, APART * at_first_sight)]
+        steady = cut[np.ptp(cut, axis=1) <= max(WITHIN * step, APART * _from_differences(np.diff(y, 2)))]
         if len(steady) >= FEWEST:
-            return _before_conversion(float(np.mean(np.diff(steady, 2, axis=1) ** 2)) / 6, step)
-    return at_first_sight
+            toggling = [
+                np.mean(np.diff(steady, order, axis=1) ** 2, axis=1) / _gain(order) for order in ORDERS
+            ]
+            least = min(toggling, key=lambda each: float(np.mean(each)))
+            return _before_conversion(float(np.mean(least)) + deviations * _of_mean(least), step)
+    least_sd, order = min((_from_differences(np.diff(y, order), order), order) for order in ORDERS)
+    if not deviations:
+        return least_sd
+    parts = np.array_split(np.diff(y, order), min(PARTS, len(y) // (2 * max(ORDERS))))
+    scatter = _of_mean(np.array([_from_differences(part, order) ** 2 for part in parts]))
+    return float(np.sqrt(least_sd**2 + deviations * scatter))
+
+
+def _of_mean(each: Array) -> float:
+    """Standard deviation of the mean of some numbers."""
+    return float(np.std(each, ddof=1) / np.sqrt(len(each))) if len(each) > 1 else 0.0
 
 
 def coloured_sd(y: Array, samples: float, step: float = 0.0) -> float:
@@ -113,14 +144,15 @@ def roughness(error: Array, shown: Array) -> float:
     return float(np.sqrt(np.mean(moves)) * _from_differences(np.diff(error, 2)[moves]))
 
 
-def _of_differences(y: Array, order: int) -> float:
-    return _from_differences(np.diff(y, order), order)
-
-
 def _from_differences(differences: Array, order: int = 2) -> float:
-    """Standard deviation of white noise that scatters its differences of an order so much, as their median has it."""
+    """Standard deviation of white noise whose differences of an order scatter as these, by their median."""
     deviation = 1.4826 * np.median(np.abs(differences - np.median(differences)))
-    return float(deviation / np.sqrt(comb(2 * order, order)))
+    return float(deviation / np.sqrt(_gain(order)))
+
+
+def _gain(order: int) -> int:
+    """Variance of differences of white noise of 1."""
+    return comb(2 * order, order)
 
 
 def _before_conversion(toggling: float, step: float) -> float:
