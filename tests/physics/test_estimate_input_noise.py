@@ -1,15 +1,16 @@
 """What is rough of a measured input is its sensor's noise, or was at the motor: the errors follow the one, not the other."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from helpers import plain_motor
 from helpers.plain_motor import RATED, TYPICAL
 
-from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.input_noise import least_noise
+from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.estimate.weighed import first_point
 from motorlens_physics.motor import Motor
@@ -69,25 +70,63 @@ def test_no_more_is_noise_than_the_errors_tell() -> None:
     assert load < 0.1
 
 
-@pytest.mark.fit
-@pytest.mark.parametrize("seed", range(3))
-def test_what_a_smooth_drive_bends_by_is_no_noise(seed: int) -> None:
-    period_s, samples, noise = 1e-2, 4000, {"voltage": 0.5, "current": 0.3, "speed": 0.5}
-    swept_Hz = np.linspace(0.5, 6.0, samples)
-    voltage = 0.9 * RATED["voltage"] * np.sin(2 * np.pi * period_s * np.cumsum(swept_Hz))
-    # Half of the time it bends from one sample to the next by more than its sensor errs.
-    assert np.median(np.abs(np.diff(voltage, 2))) > 3 * np.sqrt(6) * noise["voltage"]
+@dataclass(frozen=True)
+class Swept:
+    """A motor whose voltage sweeps, with noise of every channel, and its estimate."""
+
+    voltage_V: np.ndarray
+    found: Estimate
+
+    @property
+    def noise(self) -> Noise:
+        """As it is found."""
+        (run,) = self.found.runs
+        assert run.noise is not None
+        return run.noise
+
+    def off(self) -> dict[str, float]:
+        """Deviations by which parameters and skews end off the truth."""
+        fit = self.found.fit
+        sd = dict(zip(fit.prior.keys, np.sqrt(np.diagonal(fit.covariance)), strict=True))
+        assert (
+            sd["L"] < 0.1 * TYPICAL["L"] and sd["ke"] < 0.01 * TYPICAL["ke"] and sd["J"] < 0.01 * TYPICAL["J"]
+        )
+        true = {key: TYPICAL[key] for key in ("R_a0", "L", "ke", "J")} | {
+            key: 0.0 for key in sd if key.startswith("skew.")
+        }
+        return {key: (fit.model.values()[key] - value) / sd[key] for key, value in true.items()}
+
+
+def swept(frequencies_Hz: np.ndarray, noise: dict[str, float], seed: int) -> Swept:
+    period_s, samples = 1e-2, len(frequencies_Hz)
+    voltage = 0.9 * RATED["voltage"] * np.sin(2 * np.pi * period_s * np.cumsum(frequencies_Hz))
     test = plain_motor.Test(period_s, samples, 1, True, 0.0)
     states = plain_motor.simulated(TYPICAL, voltage, np.zeros(samples), test)
     rng = np.random.default_rng(seed)
     true = {"voltage": voltage, "current": states[:, 0], "speed": states[:, 1]}
     seen = {name: y + noise[name] * rng.standard_normal(samples) for name, y in true.items()}
-    found = estimate(FILE, prepare_all([Recording("swept.csv", period_s * np.arange(samples), seen)], FILE))
-    of_it = found.runs[0].noise
-    assert of_it is not None
-    assert np.sqrt(of_it.least[0]) < 1.1 * noise["voltage"]
-    assert np.sqrt(of_it.disturbances[0]) == pytest.approx(noise["voltage"], rel=0.3)
-    sd = dict(zip(found.fit.prior.keys, np.sqrt(np.diagonal(found.fit.covariance)), strict=True))
-    off = {key: (found.fit.model.values()[key] - TYPICAL[key]) / sd[key] for key in ("R_a0", "L", "ke", "J")}
+    runs = prepare_all([Recording("swept.csv", period_s * np.arange(samples), seen)], FILE)
+    return Swept(voltage, estimate(FILE, runs))
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_smooth_drive_bends_by_is_no_noise(seed: int) -> None:
+    volts = 0.5
+    end = swept(np.linspace(0.5, 6.0, 4000), {"voltage": volts, "current": 0.3, "speed": 0.5}, seed)
+    # Half of the time it bends from one sample to the next by more than its sensor errs.
+    assert np.median(np.abs(np.diff(end.voltage_V, 2))) > 3 * np.sqrt(6) * volts
+    assert np.sqrt(end.noise.least[0]) < 1.1 * volts
+    assert np.sqrt(end.noise.disturbances[0]) == pytest.approx(volts, rel=0.3)
+    off = end.off()
     assert max(map(abs, off.values())) < 3, off
-    assert sd["L"] < 0.1 * TYPICAL["L"] and sd["ke"] < 0.01 * TYPICAL["ke"] and sd["J"] < 0.01 * TYPICAL["J"]
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("volts", [0.05, 0.1])
+def test_no_more_of_it_is_noise_where_the_errors_do_not_tell(volts: float) -> None:
+    """That of the current hides what the voltage's does to it: it is told by the voltage alone."""
+    end = swept(np.geomspace(0.1, 3.0, 2000), {"voltage": volts, "current": 0.6, "speed": 0.5}, seed=0)
+    assert np.sqrt(end.noise.disturbances[0]) == pytest.approx(volts, rel=0.2)
+    off = end.off()
+    assert max(map(abs, off.values())) < 3, off

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from motorlens_physics.estimate.signals import Lasting, level_of, noise_sd, smoothed
+from motorlens_physics.estimate.signals import Lasting, level_of, most_noise_sd, noise_sd, smoothed
 
 SIGNALS = {
     "constant": np.full(6000, 3.0),
@@ -30,6 +30,36 @@ def test_noise_goes_and_steps_stay():
     # At a step the error is that of the noise, not that of a rounded step of several units.
     assert np.std(error[near]) < 0.15
     assert np.abs(error[near]).max() < 0.5
+
+
+@pytest.mark.parametrize("step", [0.0, 0.5])
+def test_what_a_fast_sinusoid_bends_by_is_no_noise(step: float) -> None:
+    """A twentieth of a turn from sample to sample: second differences of 100 times (0.31)^2, sixth of 0.09."""
+    bends = 100 * np.sin(2 * np.pi * np.arange(4000) / 20)
+    seen = bends + np.random.default_rng(0).standard_normal(4000)
+    seen = step * np.round(seen / step) if step else seen
+    assert noise_sd(seen, step) == pytest.approx(1.0, rel=0.1)
+    assert 1.0 < most_noise_sd(seen, step) < 1.15
+
+
+@pytest.mark.parametrize("step", [0.0, 0.5])
+def test_noise_is_rarely_more_than_the_most_that_it_may_be(step: float) -> None:
+    rng = np.random.default_rng(1)
+    most = []
+    for phase in rng.uniform(0, 2 * np.pi, 300):
+        seen = 20 * np.sin(np.arange(1000) / 200 + phase) + rng.standard_normal(1000)
+        most.append(most_noise_sd(step * np.round(seen / step) if step else seen, step))
+    # Two deviations, and the least of five orders.
+    assert 0.002 < np.mean(np.array(most) < 1.0) < 0.1
+    assert np.mean(most) < 1.15
+
+
+def test_noise_that_comes_and_goes_may_be_much_more() -> None:
+    lasts = np.repeat([0.1, 3.0], 500)
+    seen = np.tile(lasts, 4) * np.random.default_rng(2).standard_normal(4000)
+    mean = np.sqrt(np.mean(lasts**2))
+    assert noise_sd(seen) < 0.5 * mean
+    assert noise_sd(seen) < 0.7 * most_noise_sd(seen) and most_noise_sd(seen) < mean
 
 
 def test_a_signal_without_noise_is_left_alone():
