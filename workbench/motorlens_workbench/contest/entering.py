@@ -33,6 +33,8 @@ from motorlens_workbench.telling import Progress
 REFITTED = 4
 # Names with which the motor is estimated to the end, of all that are tried.
 ESTIMATED = 6
+# Names less likely than the likeliest by no more than this, in a logarithm, may be what is missing as well.
+NEARLY = float(-np.log(1 - CRITERIA.credible))
 
 # The model in which a name was tried, and the same with it.
 Attempt = tuple[Fitted, Fitted]
@@ -277,15 +279,25 @@ def enter_anew(
         for one, fitted in made
     }
     step = nothing
+    able: list[tuple[Score, Step, Standing]] = []
     for one, fitted in sorted(made, key=lambda pair: -likely[pair[0].name]):
-        step = step.then(_judged(here, one, fitted, own))
-        if step.accepted is not None:
-            step = _timed_anew(here, one, step, own)
-            if step.accepted is None:
-                return step
-            beside = {name: 0.5 * (less[one.name] - more) for name, more in less.items()}
-            return replace(step, accepted=replace(step.accepted, beside=beside))
-    return step
+        if able and (follows(able[-1][2]) or likely[one.name] < likely[able[0][0].name] - NEARLY):
+            break
+        other = _judged(here, one, fitted, own)
+        if other.accepted is None or other.standing is None:
+            step = step.then(other)
+        else:
+            able.append((one, other, other.standing))
+    if not able:
+        return step
+    # Of names that are nearly as likely, one with which the model follows what it was not fitted to.
+    one, entered, _ = max(able, key=lambda known: follows(known[2]))
+    judged = {name: times for _, other, _ in able for name, times in other.judged.items()}
+    step = _timed_anew(here, one, replace(step, judged={**step.judged, **judged}).then(entered), own)
+    if step.accepted is None:
+        return step
+    beside = {name: 0.5 * (less[one.name] - more) for name, more in less.items()}
+    return replace(step, accepted=replace(step.accepted, beside=beside))
 
 
 def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effect]]) -> Step:
