@@ -8,7 +8,7 @@ from helpers.plain_fleet import TYPICAL, WANDERS, World, simulated, write
 from helpers.plain_motor import AMBIENT_C, RATED
 
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.noise import LOAD, MOST_OF_LOOKS
+from motorlens_physics.estimate.noise import LOAD
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
@@ -44,7 +44,8 @@ def test_noise_of_the_load_that_the_errors_do_not_tell_counts(tmp_path):
 def test_a_load_that_truly_shakes_is_no_noise(tmp_path):
     rng, n, period_s = np.random.default_rng(2), 800, 5e-3
     voltage = np.repeat(rng.uniform(-1, 1, 8) * RATED["voltage"], 100)
-    load = RATED["load_torque"] * (0.3 + 0.2 * rng.standard_normal(n))
+    shakes = 0.2 * RATED["load_torque"]
+    load = 0.3 * RATED["load_torque"] + shakes * rng.standard_normal(n)
     states = simulated({**TYPICAL, "V_b": 0.0, "tau_c": 0.0}, voltage, load, period_s)
     columns = {
         "time": np.arange(n) * period_s, "voltage": voltage, "load_torque": load,
@@ -56,7 +57,7 @@ def test_a_load_that_truly_shakes_is_no_noise(tmp_path):
     file = read_motor_file("mellah2016")
     found = estimate(file, prepare_all([read_recording(tmp_path / "a.csv")], file))
     (part,) = summary._point(found.fit.model, found, found.fit.prior.keys).parts
-    assert part.noise.disturbances[LOAD] < 0.05 * part.noise.most[LOAD] / MOST_OF_LOOKS
+    assert part.noise.disturbances[LOAD] < 0.05 * shakes**2
 
 
 def test_what_a_speed_shows_is_known_where_an_estimate_goes_on(tmp_path):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import sensor_catalogue
+from motorlens_workbench import experiments
 from motorlens_workbench.diagnose import Finding, diagnose
 from motorlens_workbench.experiments import Experiment, propose
 from motorlens_workbench.verdict import Verdict, settle
@@ -76,3 +78,15 @@ def test_no_run_tells_one_wrong_scale_from_another(rough):
     assert experiment is not None and not experiment.test
     assert {"current", "voltage", "speed", "load_torque"} <= set(experiment.check)
     assert "reference instrument" in experiment.why
+
+
+@pytest.mark.parametrize(("seconds", "offered"), [(20_000.0, True), (54_000.0, False)])
+def test_no_test_is_offered_that_takes_longer_than_a_working_day(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, offered: bool
+) -> None:
+    """A drive without a back-EMF to speak of has a time constant of minutes: its slow ramp would take 15 hours."""
+    monkeypatch.setattr(experiments, "_of_scenario", lambda *of: (np.eye(1), seconds))
+    monkeypatch.setattr(experiments, "_apart", lambda asked, gram: (1e6 * gram[0, 0], 0.0))
+    asked = SimpleNamespace(gram=np.zeros((1, 1)), scatter=1.0)
+    took = experiments._needed(asked, "slow_ramp", {}, (), np.random.default_rng(0))  # type: ignore[arg-type]
+    assert took == (seconds if offered else None)

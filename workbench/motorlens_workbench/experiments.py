@@ -42,6 +42,8 @@ SETTLED, CLEAR = 60.0, 2.0
 # A run may be made so many times as long as its scenario has it, up to two hours; one shorter than the least would be judged
 # by the torque that nobody measures, which goes on for seconds.
 LONGER, LONGEST_S, SHORTEST_S = 20.0, 7200.0, 20.0
+# No bench is given up for one question for longer than a working day.
+DAY_S = 8 * 3600.0
 # Once the rotor has stopped, a longer run of it says nothing more.
 ENDS = ("coast_down",)
 # Noise of a sensor that is not there yet, as a share of the rated value.
@@ -211,7 +213,7 @@ def _needed(
     except (MotorlensError, FloatingPointError, ValueError):
         return None
     longest = seconds if name in ENDS else max(min(LONGER * seconds, LONGEST_S), seconds)
-    if longest < SHORTEST_S:
+    if longest < SHORTEST_S or seconds > DAY_S:
         return None
     # What the recordings say has been weighed already: the new one must settle it.
     said, _ = _apart(asked, asked.gram)
