@@ -12,6 +12,7 @@ from motorlens_physics.estimate.between_samples import as_they_ran, gained_witho
 from motorlens_physics.estimate.delays import LONGEST, likeliest_lag, nearer, realigned
 from motorlens_physics.estimate.fit import NEAR, fit, white
 from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.pieces import as_found, cut, starting_as
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.report import FAR
@@ -57,6 +58,7 @@ class Timing:
         longer: these pieces.
         prior: of the runs.
         progress: told what goes on.
+        noises: of the runs, once they are known; None where each fit finds them anew.
     """
 
     begin: Model
@@ -64,6 +66,7 @@ class Timing:
     longer: Sequence[Run]
     prior: Prior
     progress: Callable[[str], None]
+    noises: Sequence[Noise] | None = None
 
     @property
     def straight(self) -> Prior:
@@ -74,7 +77,7 @@ class Timing:
         """The point near the best parameters of runs, from a model."""
         runs = [replace(run, corrections=None) for run in runs]
         rough = fit(model, runs, self.straight, rounds=NEAR, enough=1.0)
-        return self._minimised(begun(rough.model, runs, self.prior))
+        return self._minimised(self._begun(rough.model, runs))
 
     def likeliest(self, point: Weighed, *, free: bool) -> Weighed:
         """The point with the likeliest timing; how inputs ran stays as it is unless it is `free`."""
@@ -167,7 +170,7 @@ class Timing:
         # What is late has bent the fit: it begins anew without it, and where that ends must hold the promise.
         start = replace(self.begin, held=point.model.held)
         along, rough = nearer(along, fit(start, along, self.straight, rounds=NEAR, enough=1.0), self.straight)
-        other = self._minimised(begun(rough.model, along, self.prior))
+        other = self._minimised(self._begun(rough.model, along))
         return other if gained(point, other, self.prior) > needed(tried) else point
 
     def _farther(self, point: Weighed) -> tuple[Sequence[Run], int] | None:
@@ -193,6 +196,11 @@ class Timing:
                     best, likeliest = moved, here
                 samples, model, last = 2 * samples, found.model, here
         return None if best is still else (best, tried)
+
+    def _begun(self, model: Model, runs: Sequence[Run]) -> Weighed:
+        if self.noises is None:
+            return begun(model, runs, self.prior)
+        return from_noise(model, runs, self.noises, self.prior)
 
     def _minimised(self, point: Weighed) -> Weighed:
         # While parameters are wrong, a large error is theirs, and every sample counts.
