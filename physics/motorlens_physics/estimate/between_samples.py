@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.innovations import in_blocks
-from motorlens_physics.estimate.model import Model, response_to_inputs, sensitivities_of
+from motorlens_physics.estimate.model import Model, predict, response_to_inputs, sensitivities_of
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
@@ -271,8 +271,9 @@ def _seen(
     moves: Sequence[tuple[int, ...]],
 ) -> list[Seen]:
     """A run beside its inputs without noise, under the noise of `like`, as what is shown moves by so many samples to it."""
-    run = run.corrected(quiet.corrections)
-    _, shown, columns, linear = sensitivities_of(model, run, r, [prior.keys[k] for k in mine])
+    _, shown = predict(model, run.corrected(quiet.corrections), r)
+    # Noise that the quiet inputs have kept would be in columns along them as it is in the errors.
+    _, _, columns, linear = sensitivities_of(model, run, r, [prior.keys[k] for k in mine])
     left = response_to_inputs(model, run, r, linear, *quiet.left.T)
     # The same samples count in all.
     used = like.run.there.copy()
