@@ -1,7 +1,8 @@
 """How the inputs of a recording ran between its samples: held by a drive, or linearly, each of its own.
 
 Also whether all channels come a sample earlier or later, which looks much alike. The way is chosen that makes the recording
-likeliest, beside inputs that have lost their noise, less what the noise adds that they have kept. Along the inputs as
+likeliest, beside inputs that have lost their noise, less what the noise that they have kept adds: to the errors and, where
+it lasts, to the sensitivities (Fuller 1987, Measurement Error Models, doi:10.1002/9780470316665). Along the inputs as
 recorded that way looks likelier which averages more of their noise, whichever is true: the noise is independent of what
 drove the motor, not of what was recorded (Carroll, Ruppert, Stefanski and Crainiceanu 2006, Measurement Error in Nonlinear
 Models, doi:10.1201/9781420010138, chapter 2).
@@ -13,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from motorlens_physics.estimate.innovations import in_blocks
-from motorlens_physics.estimate.model import Model, predict, response_to_inputs, sensitivities_of
+from motorlens_physics.estimate.model import Model, response_to_inputs, sensitivities_of
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
@@ -23,6 +25,10 @@ from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed
 from motorlens_runtime.errors import ModelError
 
 Array = NDArray[np.float64]
+
+# Of what tells any combination of parameters no more than this share is taken out as that of noise: the rest, as one draw of
+# it has it, would be nothing but noise.
+MOST_OF_NOISE = 0.9
 
 
 class End(NamedTuple):
@@ -45,10 +51,12 @@ class Seen(NamedTuple):
     Attributes:
         errors: of it.
         left: (N, C) what noise that the inputs have kept adds to what is shown, as it may be.
+        kept: (N, C, k) what such noise adds to the sensitivities, where it lasts.
     """
 
     errors: Errors
     left: Array
+    kept: Array
 
     def left_white(self) -> Array:
         """(N, C) what it adds to the innovations."""
@@ -271,10 +279,13 @@ def _seen(
     moves: Sequence[tuple[int, ...]],
 ) -> list[Seen]:
     """A run beside its inputs without noise, under the noise of `like`, as what is shown moves by so many samples to it."""
-    _, shown = predict(model, run.corrected(quiet.corrections), r)
-    # Noise that the quiet inputs have kept would be in columns along them as it is in the errors.
-    _, _, columns, linear = sensitivities_of(model, run, r, [prior.keys[k] for k in mine])
-    left = response_to_inputs(model, run, r, linear, *quiet.left.T)
+    keys = [prior.keys[k] for k in mine]
+    _, shown, columns, linear = sensitivities_of(model, run.corrected(quiet.corrections), r, keys)
+    left, kept = response_to_inputs(model, run, r, linear, *quiet.left.T), np.zeros_like(columns)
+    if any(lasting.sd for lasting in like.noise.lasting_of_inputs(run)):
+        # Smoothing leaves next to nothing of white noise, and most of noise that lasts: sensitivities hold that as well.
+        _, _, more, _ = sensitivities_of(model, run.corrected(quiet.corrections + quiet.left), r, keys)
+        kept = more - columns
     # The same samples count in all.
     used = like.run.there.copy()
     used[[0, -1]] = False
@@ -288,6 +299,7 @@ def _seen(
                 error=like.run.measured - moved_on(shown, by),
             ),
             moved_on(left, by),
+            moved_on(kept, by),
         )
         for by in moves
     ]
@@ -298,8 +310,15 @@ def _at_best(model: Model, seen: Sequence[Seen], prior: Prior) -> End:
     point, values = Weighed(model, tuple(one.errors for one in seen), len(prior.keys)), model.values()
     width = prior.width(values)
     gram, score = point.normal()
-    score = score + prior.pull(values) / width
-    step = np.asarray(np.linalg.lstsq(gram + np.diag(width**-2.0), score, rcond=1e-12)[0])
+    gram, score = gram + np.diag(width**-2.0), score + prior.pull(values) / width
+    if any(one.kept.any() for one in seen):
+        # Noise that both have kept, sensitivities and errors, is in the products of the one with the other.
+        drawn = tuple(replace(one.errors, columns=one.kept, error=one.left) for one in seen)
+        of_noise, bias = replace(point, parts=drawn).normal()
+        most = float(eigh(of_noise, gram, eigvals_only=True)[-1])
+        share = min(1.0, MOST_OF_NOISE / most) if most > 0 else 1.0
+        gram, score = gram - share * of_noise, score + share * bias
+    step = np.asarray(np.linalg.lstsq(gram, score, rcond=1e-12)[0])
     left = np.concatenate([one.left_white().ravel() for one in seen])
     cost = point.cost + prior.penalty(values) - float(score @ step) - float(left @ left)
     return End(cost, step, left)
