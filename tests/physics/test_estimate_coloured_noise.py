@@ -11,9 +11,12 @@ from helpers.plain_motor import RATED, TYPICAL
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate import between_samples
+from motorlens_physics.estimate.estimate import Estimate, estimate, near, whole
+from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.noise import TORQUE, VOLTAGE
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prior import base_prior
+from motorlens_physics.estimate.run import Run, prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file
 from motorlens_physics.parameter import Rated
@@ -80,12 +83,12 @@ def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> N
     assert sd["ke"] < 0.01 * motor["ke"]
 
 
-def driven(
-    volts: np.ndarray, seed: int, *, held: bool = False, of_voltage: float = 1 / 3
-) -> tuple[dict[str, float], Estimate]:
-    """A motor up to 30 % from its file, and its estimate: at 500 Hz, sensors drift by 0.9 % and are noisy by 0.5 %.
+def drifting(
+    volts: np.ndarray, seed: int, held: bool, of_voltage: float
+) -> tuple[dict[str, float], MotorFile, tuple[Run, ...]]:
+    """A motor up to 30 % from its file, and its recording: at 500 Hz, sensors drift by 0.9 % and are noisy by 0.5 %.
 
-    The voltage's by a share of that: a third, as dividers do.
+    The voltage's by a share of that.
     """
     rng = np.random.default_rng([41, seed])
     motor, samples = plain_motor.scattered(rng), len(volts)
@@ -104,7 +107,15 @@ def driven(
         shown[channel] = y + 0.01 * RATED[channel] * noise * (of_voltage if channel == "voltage" else 1.0)
     spread = {key: Knowledge(0.3 / np.sqrt(3) * y, "plate") for key, y in TYPICAL.items()}
     file = MotorFile("plate", Motor(**TYPICAL), PLATE, knowledge=spread)
-    return motor, estimate(file, prepare_all([Recording("driven", 0.002 * np.arange(samples), shown)], file))
+    return motor, file, prepare_all([Recording("driven", 0.002 * np.arange(samples), shown)], file)
+
+
+def driven(
+    volts: np.ndarray, seed: int, *, held: bool = False, of_voltage: float = 1 / 3
+) -> tuple[dict[str, float], Estimate]:
+    """Such a motor and its estimate; the voltage drifts by a third, as dividers do."""
+    motor, file, runs = drifting(volts, seed, held, of_voltage)
+    return motor, estimate(file, runs)
 
 
 @pytest.mark.fit
@@ -152,6 +163,25 @@ def test_a_chirp_is_timed_as_it_was_beside_noise_that_lasts(seed: int, held: boo
     off = {key: (value[key] - motor[key]) / sd[key] for key in ("R_a0", "L", "ke", "J", "b")}
     assert max(map(abs, off.values())) < 3.5, off
     assert sd["L"] < 0.1 * motor["L"] and sd["ke"] < 0.01 * motor["ke"]
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_sample_and_a_skew_are_one_delay_beside_noise_that_lasts(seed: int) -> None:
+    """Where a skew may make up for it, that all is moved by a sample makes a recording no likelier."""
+    time = 0.002 * np.arange(SAMPLES)
+    volts = 0.6 * RATED["voltage"] * np.sin(2 * np.pi * (0.1 * time + 0.25 * time**2))
+    _, file, runs = drifting(volts, seed, held=True, of_voltage=1.0)
+    prior = base_prior(file, runs)
+    point = whole(near(runs, prior, start_model(file, runs)), start_model(file, runs), runs, prior)
+    part = point.parts[0]
+    assert len(part.noise.disturbances) > TORQUE + 1
+    quiet = between_samples._quiet(part.run, part.noise)
+    ends = between_samples._ends(
+        point, prior, 0, quiet, point.model.held[0], (-1, 0, 1), mean=False, straight=False
+    )
+    costs = np.array([ends[late].cost for late in (-1, 0, 1)])
+    assert np.ptp(costs) < 30 and np.mean(costs) > 1000
 
 
 @pytest.mark.fit
