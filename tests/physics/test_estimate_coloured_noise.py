@@ -150,8 +150,7 @@ def test_a_creeping_motor_is_not_told_by_the_noise_of_its_voltage(seed: int) -> 
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("held", [False, True])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("seed", "held"), [(1, True), (2, True), (2, False)])
 def test_a_chirp_is_timed_as_it_was_beside_noise_that_lasts(seed: int, held: bool) -> None:
     """Smoothing leaves most of it in the voltage. Where the sensitivities held it too, all seemed to come early."""
     time = 0.002 * np.arange(SAMPLES)
