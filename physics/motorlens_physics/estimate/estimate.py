@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motorlens_physics.estimate.between_samples import gained_without_noise, otherwise
+from motorlens_physics.estimate.between_samples import otherwise
 from motorlens_physics.estimate.fit import CONVERGED, NEAR, Fit, fit, foretold, inverse, start_model, white
 from motorlens_physics.estimate.hum import hum_of_channels
 from motorlens_physics.estimate.model import Model, predict
@@ -180,10 +180,7 @@ def near(
     coloured = with_colour(point)
     if coloured is not point:
         point = minimised(coloured, prior, progress, outliers=False)[0]
-        # What lasts has passed for another timing: that is asked again under the noise as it is.
-        again = replace(timing, noises=[part.noise for part in point.parts])
-        other = again.likeliest(again.near(model, pieces), free=free)
-        point = other if gained_without_noise(point, other, prior) > 0 else point
+        point = timing.under_its_noise(point, model, pieces, free=free)
     return point if prior.keys == every.keys else at(point.model, point, every)
 
 

@@ -89,6 +89,18 @@ class Timing:
             point = other
         return moved(point, self.prior, self.progress)
 
+    def under_its_noise(self, point: Weighed, model: Model, runs: Sequence[Run], *, free: bool) -> Weighed:
+        """The point, or a likelier one whose timing is asked from the beginning under the noise that is known there.
+
+        Noise that lasts passes for another timing as long as it is taken to be white.
+        """
+        known = replace(self, noises=[part.noise for part in point.parts])
+        try:
+            other = known.likeliest(known.near(model, runs), free=free)
+            return other if gained_without_noise(point, other, self.prior) > 0 else point
+        except ModelError:
+            return point
+
     def held_at_file(self, point: Weighed) -> Weighed:
         """The point, or a likelier one that a fit reaches which began with what is far from the motor file held there.
 

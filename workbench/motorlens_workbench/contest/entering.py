@@ -293,7 +293,9 @@ def enter_anew(
     # Of names that are nearly as likely, one with which the model follows what it was not fitted to.
     one, entered, _ = max(able, key=lambda known: follows(known[2]))
     judged = {name: times for _, other, _ in able for name, times in other.judged.items()}
-    step = _timed_anew(here, one, replace(step, judged={**step.judged, **judged}).then(entered), own)
+    step = replace(step, judged={**step.judged, **judged}).then(entered)
+    if step.accepted is not None:
+        step = _timed_anew(here, one, step, own)
     if step.accepted is None:
         return step
     beside = {name: 0.5 * (less[one.name] - more) for name, more in less.items()}
