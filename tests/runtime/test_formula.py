@@ -54,6 +54,11 @@ def value(quantity: str, formula: str) -> float:
         ("speed", "wL_rad_s*9.68", 67.76),
         ("angle", "encoder_counts/1024[counts/rev]", 3.141592653589793),
         ("load_torque", "F_lbf*0.1[m]", 4.4482216152605),
+        ("load_torque", "-0.5[N*m]*sin(pwm[deg] + 22.5[deg])", -0.25),  # of 150 degrees
+        ("load_torque", "0.5*cos(i_A*30[deg/A])", 0.25),  # of 60 degrees; a number without a unit is in N m
+        ("current", "i_A*sign(tacho_V - 1[V])", -2.0),
+        ("current", "raw*sign(tacho_V - 0.3[V])", 0.0),
+        ("current", "abs(i_A*sign(tacho_V - 1[V]))", 2.0),
     ],
 )  # fmt: skip
 def test_by_hand(quantity, formula, expected):
@@ -88,6 +93,9 @@ def test_by_hand(quantity, formula, expected):
         ("voltage", "vbat_V[mV]", "the heading 'vbat_V' says another unit"),
         ("voltage", "vbat_V*2)", "')' is not understood"),
         ("voltage", "__import__('os')*2", "no column '__import__'"),
+        ("voltage", "vbat_V*sin(i_A)", "sin() is of an angle, and this is in A"),
+        ("voltage", "vbat_V*abs(i_A", "a closing bracket is missing"),
+        ("voltage", "vbat_V*tan(n_rpm)", "no column 'tan'"),
         ("current_V", "i_A", "unknown unit 'V' for current"),
     ],
 )

@@ -27,13 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate import kalman
-from motorlens_physics.estimate.run import STATE_OF
+from motorlens_physics.estimate.rows import lanes
 
 Array = NDArray[np.float64]
 
-# Disturbances of which the compiler is told the number: unrolled, loops over few are faster. But a machine compiles for each
-# number, which takes longer than many a filter: so it is an even one, and with more it compiles once for all.
-FEW = 4
 # What a filter that reads nothing writes.
 NOTHING = np.zeros((0, 0))
 
@@ -74,7 +71,7 @@ class Filtered:
     Attributes:
         white: (N, C, m) innovations of m columns, in units of their standard deviation; 0 where nothing was measured.
         scale: (N, C) that standard deviation, infinite where nothing was measured.
-        gain: (N, C, n + A) of each channel in its turn, of states and the disturbances that are looked at, see `_acting`.
+        gain: (N, C, s) of each channel in its turn, of states and of the disturbances that are looked at, see `_acting`.
     """
 
     white: Array
@@ -132,13 +129,12 @@ def in_blocks(space: StateSpace, known: Filtered, columns: Array, blocks: Iterab
     Of a filter that has been through these samples, scales and gains are `known`: they are the same for all columns.
     """
     space, _ = _acting(space)
-    balances, each = _balances(space), _each(space)
     states = np.zeros((known.gain.shape[2], columns.shape[2]))
     for rows in blocks:
         white = np.empty((rows.stop - rows.start, *columns.shape[1:]))
         kalman.forward_again(
-            each, space.matrices, space.shows, space.drifts, balances, space.holds, space.keeps, known.scale, known.gain,
-            rows.start, states, np.ascontiguousarray(columns[rows]), white,
+            *_sizes(space), space.matrices, space.shows, space.drifts, space.balances, space.holds, space.keeps,
+            known.scale, known.gain, rows.start, states, np.ascontiguousarray(columns[rows]), white,
         )  # fmt: skip
         yield white
 
@@ -170,21 +166,20 @@ def spread(space: StateSpace) -> Array:
     power = np.zeros(len(space.shows))
     space, _ = _acting(space)
     kalman.spread(
-        _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
-        space.keeps, space.variance, np.diag(np.concatenate([space.start, space.variance])), power,
+        *_sizes(space), space.matrices, space.shows, space.drifts, space.balances, space.holds,
+        space.keeps, space.variance, _at_first(space), power,
     )  # fmt: skip
     return power
 
 
-def _each(space: StateSpace) -> tuple[float, ...] | Array:
-    """As long as there are states: a tuple, whose length the compiler knows, for the textbook's; else one code for all."""
-    n = space.matrices.shape[1]
-    return (0.0,) * n if n == len(STATE_OF) else np.zeros(n)
+def _sizes(space: StateSpace) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """As long as the motor has states, and as the filter has: tuples, whose length the compiler knows."""
+    return (0.0,) * len(space.start), (0.0,) * (len(space.start) + len(space.variance))
 
 
-def _balances(space: StateSpace) -> tuple[int, ...] | NDArray[np.int64]:
-    """The balances: a tuple, likewise, of as many disturbances as there mostly are; else one code for all."""
-    return tuple(space.balances.tolist()) if len(space.balances) <= FEW else space.balances
+def _at_first(space: StateSpace) -> Array:
+    """(s, s) covariance of states and disturbances at the first sample."""
+    return np.diag(np.concatenate([space.start, space.variance]))
 
 
 def _filtered(
@@ -192,12 +187,11 @@ def _filtered(
 ) -> Filtered:
     """Filter a column (N, C); with `steps` it is read, and it and the others are written."""
     space, _ = _acting(space)
-    states = space.matrices.shape[1] + len(space.balances)
-    white, scale, gain = np.empty(column.shape), np.empty(column.shape), np.zeros((*column.shape, states))
-    covariance = np.diag(np.concatenate([space.start, space.variance]))
+    own, every = _sizes(space)
+    white, scale, gain = np.empty(column.shape), np.empty(column.shape), np.zeros((*column.shape, len(every)))
     kalman.forward(
-        _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds, space.keeps,
-        space.variance, space.noise, covariance, column, white, scale, gain, steps, deviance, unlikely,
+        own, every, space.matrices, space.shows, space.drifts, space.balances, space.holds, space.keeps,
+        space.variance, space.noise, _at_first(space), column, white, scale, gain, steps, deviance, unlikely,
     )  # fmt: skip
     return Filtered(white[:, :, None], scale, gain)
 
@@ -214,58 +208,41 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
     every, channels = len(space.balances), space.noise.shape[1]
     space, acting = _acting(space)
     seen, of_inputs, of_channels = (
-        np.zeros((len(space.noise), len(acting))), np.zeros((2, len(acting))), np.zeros((2, channels))
+        np.zeros((len(space.noise), len(space.variance))), np.zeros((2, len(space.variance))), np.zeros((2, channels))
     )  # fmt: skip
     kalman.backward(
-        _each(space), space.matrices, space.shows, space.drifts, _balances(space), space.holds,
+        *_sizes(space), space.matrices, space.shows, space.drifts, space.balances, space.holds,
         space.keeps, space.variance,
         np.ascontiguousarray(filtered.white[:, :, 0]), filtered.scale, filtered.gain, seen, of_inputs, of_channels,
     )  # fmt: skip
-    of_inputs *= space.variance != 0
     return _among(seen, acting, every), _among(of_inputs, acting, every), of_channels
 
 
 def _acting(space: StateSpace) -> tuple[StateSpace, NDArray[np.int64]]:
-    """Without disturbances whose variance is zero, for they cost as much as others; the positions of those that are left.
+    """With the disturbances that act, for others cost as much, and their positions.
 
-    Of few an even number is left, see `FEW`: one more that is silent, which comes after all others if none of them is.
+    After them as many that are silent as fill up a row of states, see `rows`: so the compiler knows how many there are.
     """
-    every, acts = len(space.variance), space.variance != 0
-    count, none = np.count_nonzero(acts), np.flatnonzero(~acts)
-    if count % 2 and count < FEW:
-        if none.size:
-            acts[none[0]] = True
-        else:
-            space, acts = _with_a_silent_one(space), np.append(acts, True)
-    elif not count or not none.size:
-        return space, np.arange(every)
-    acting = np.flatnonzero(acts)
+    acting = np.flatnonzero(space.variance)
+    silent = len(lanes(len(space.start) + len(acting))) - len(space.start) - len(acting)
     # The last stands for -1: none.
-    now_at = np.full(len(acts) + 1, -1)
+    now_at = np.full(len(space.variance) + 1, -1)
     now_at[acting] = np.arange(len(acting))
     fewer = replace(
-        space, balances=space.balances[acting], drifts=now_at[space.drifts], holds=space.holds[acting],
-        keeps=np.ascontiguousarray(space.keeps[:, acting]), variance=space.variance[acting],
-    )  # fmt: skip
-    return fewer, acting
-
-
-def _with_a_silent_one(space: StateSpace) -> StateSpace:
-    """The same, and a disturbance of no balance and no variance."""
-    return replace(
         space,
-        balances=np.append(space.balances, -1),
-        holds=np.append(space.holds, False),
-        keeps=np.hstack([space.keeps, np.zeros((len(space.keeps), 1))]),
-        variance=np.append(space.variance, 0.0),
+        balances=np.append(space.balances[acting], np.full(silent, -1)),
+        drifts=now_at[space.drifts],
+        holds=np.append(space.holds[acting], np.full(silent, True)),
+        keeps=np.pad(space.keeps[:, acting], ((0, 0), (0, silent))),
+        variance=np.pad(space.variance[acting], (0, silent)),
     )
+    return fewer, acting
 
 
 def _among(found: Array, acting: NDArray[np.int64], every: int) -> Array:
     """What was found of the acting disturbances (..., A) among all of them (..., D), zero for the others."""
     among = np.zeros((*found.shape[:-1], every))
-    own = acting < every
-    among[..., acting[own]] = found[..., own]
+    among[..., acting] = found[..., : len(acting)]
     return among
 
 

@@ -1,14 +1,15 @@
 """The Kalman filter of `innovations`, forwards and backwards, in machine code.
 
-States are the motor's n, then one value for every disturbance. Arguments are those of `innovations.StateSpace`. `each` is as
-long as the motor has states, and `balances` as there are disturbances: of tuples the compiler knows the length, and unrolls.
-One step ahead is written out for a covariance, a column and many columns, for loops of a length that is not known are slow.
+States are the motor's n, then one value for every disturbance: s in all. Arguments are those of `innovations.StateSpace`.
+`own` and `every` are tuples of these lengths, and s is a length of rows, see `rows`.
 """
 
 import math
 
 import numpy as np
 from numba import njit
+
+from motorlens_physics.estimate.rows import add_to_row, set_row, set_row_by_column
 
 # Sums in any order; what is infinite stays so.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -20,68 +21,67 @@ DENSITY, ROOT_HALF = 1 / math.sqrt(2 * math.pi), math.sqrt(0.5)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _entering(matrices, balances, holds, keeps, k, G, late):  # type: ignore[no-untyped-def]
-    """Where disturbances enter the states (n, D) from sample k to k + 1: as they were at k, and what is new at k + 1."""
-    for d in range(len(balances)):
+def _transition(own, every, matrices, balances, holds, keeps, k, F, late):  # type: ignore[no-untyped-def]
+    """What the states become at sample k + 1: of all as they are at k (n, s), of what is new in disturbances by then (D, s).
+
+    What is new is part of the disturbance, and of the states where it runs linearly.
+    """
+    n = len(own)
+    for r in range(n):
+        for q in range(n):
+            F[r, q] = matrices[k, r, q]
+    for d in range(len(every) - n):
         j = balances[d]
-        for r in range(len(G)):
-            if j < 0:
-                G[r, d], late[r, d] = 0.0, 0.0
-                continue
-            first, last = matrices[k, r, len(G) + j], matrices[k, r, len(G) + 3 + j]
+        late[d, n + d] = 1.0
+        for r in range(n):
+            first, last = 0.0, 0.0
+            if j >= 0:
+                first, last = matrices[k, r, n + j], matrices[k, r, n + 3 + j]
             if holds[d]:
-                G[r, d], late[r, d] = first + last, 0.0
+                F[r, n + d], late[d, r] = first + last, 0.0
             else:
-                G[r, d], late[r, d] = first + last * keeps[k, d], last
+                F[r, n + d], late[d, r] = first + last * keeps[k, d], last
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P):  # type: ignore[no-untyped-def]
+def _ahead(own, every, keeps, variance, k, F, late, fresh, A, P):  # type: ignore[no-untyped-def]
     """The covariance P of states and disturbances, from sample k - 1 to k."""
-    n, count = len(each), len(balances)
-    # What the states become of states and disturbances, times their covariance.
+    n, s = len(own), len(every)
+    for d in range(s - n):
+        fresh[d] = variance[d] * (1.0 - keeps[k - 1, d] * keeps[k - 1, d])
     for r in range(n):
-        for m in range(n + count):
-            total = 0.0
-            for q in range(n):
-                total += matrices[k - 1, r, q] * P[q, m]
-            for d in range(count):
-                total += G[r, d] * P[n + d, m]
-            A[r, m] = total
+        set_row(every, every, A, r, F, r, P)
     for r in range(n):
         for c in range(r, n):
             total = 0.0
-            for q in range(n):
-                total += A[r, q] * matrices[k - 1, c, q]
-            for d in range(count):
-                total += A[r, n + d] * G[c, d]
+            for m in range(s):
+                total += A[r, m] * F[c, m]
+            for d in range(s - n):
+                total += late[d, r] * late[d, c] * fresh[d]
             P[r, c] = total
             P[c, r] = total
-    for d in range(count):
+    for d in range(s - n):
         keep = keeps[k - 1, d]
-        fresh = variance[d] * (1.0 - keep * keep)
         for e in range(d):
             P[n + d, n + e] *= keep * keeps[k - 1, e]
             P[n + e, n + d] = P[n + d, n + e]
-        P[n + d, n + d] = keep * keep * P[n + d, n + d] + fresh
+        P[n + d, n + d] = keep * keep * P[n + d, n + d] + fresh[d]
         # What is new at sample k is part of the states as well, where a disturbance runs linearly.
         for r in range(n):
-            P[r, n + d] = keep * A[r, n + d] + late[r, d] * fresh
+            P[r, n + d] = keep * A[r, n + d] + late[d, r] * fresh[d]
             P[n + d, r] = P[r, n + d]
-            for c in range(n):
-                P[r, c] += late[r, d] * late[c, d] * fresh
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def spread(each, matrices, shows, drifts, balances, holds, keeps, variance, P, power):  # type: ignore[no-untyped-def]
-    """Add to `power` (C,) the mean variance of what the channels show, from the covariance P at the first sample."""
-    n, count = len(each), len(balances)
-    A, G, late = np.zeros((n, n + count)), np.zeros((n, count)), np.zeros((n, count))
+def spread(own, every, matrices, shows, drifts, balances, holds, keeps, variance, P, power):  # type: ignore[no-untyped-def]
+    """Add to `power` (C,) the mean variance of what the channels show, from the covariance P (s, s) at the first sample."""
+    n, s = len(own), len(every)
+    F, A, late, fresh = np.zeros((n, s)), np.zeros((n, s)), np.zeros((s - n, s)), np.zeros(s - n)
     samples = len(keeps) + 1
     for k in range(samples):
         if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
+            _transition(own, every, matrices, balances, holds, keeps, k - 1, F, late)
+            _ahead(own, every, keeps, variance, k, F, late, fresh, A, P)
         for c in range(len(shows)):
             h = shows[c]
             power[c] += P[h, h] / samples
@@ -114,72 +114,50 @@ def _interval(error, power, step):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead):  # type: ignore[no-untyped-def]
-    """The columns z of states and disturbances, from sample k - 1 to k."""
-    n, width = len(each), z.shape[1]
-    for r in range(n):
-        for m in range(width):
-            total = 0.0
-            for q in range(n):
-                total += matrices[k - 1, r, q] * z[q, m]
-            for d in range(len(balances)):
-                total += G[r, d] * z[n + d, m]
-            ahead[r, m] = total
-    for r in range(n):
-        for m in range(width):
-            z[r, m] = ahead[r, m]
-    for d in range(len(balances)):
-        for m in range(width):
-            z[n + d, m] *= keeps[k - 1, d]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def forward(  # type: ignore[no-untyped-def]
-    each, matrices, shows, drifts, balances, holds, keeps, variance, noise, P, y, white, scale, gain, steps, deviance,
+    own, every, matrices, shows, drifts, balances, holds, keeps, variance, noise, P, y, white, scale, gain, steps, deviance,
     unlikely,
 ):  # fmt: skip
     """Filter one column y (N, C), channel by channel.
 
-    P is the covariance of the states at the first sample. Written are `white` (N, C), `scale` and `gain`, see
+    P (s, s) is the covariance at the first sample. Written are `white` (N, C), `scale` and `gain` (N, C, s), see
     `innovations.Filtered`; with converters' `steps` (C,) also what is read, in y and in `noise`. `deviance` and `unlikely`
     are those of `innovations.Read`, or empty.
     """
-    n, count = len(each), len(balances)
-    s, channels = n + count, y.shape[1]
-    A, G, late = np.zeros((n, s)), np.zeros((n, count)), np.zeros((n, count))
-    z, ahead, K = np.zeros(s), np.zeros(n), np.zeros(s)
+    n, s = len(own), len(every)
+    count = s - n
+    F, A, late, fresh = np.zeros((n, s)), np.zeros((n, s)), np.zeros((s - n, s)), np.zeros(s - n)
+    # Of one row each: the state, and its covariance with what a channel shows.
+    z, K, ahead = np.zeros((1, s)), np.zeros((1, s)), np.zeros(n)
     for k in range(y.shape[0]):
         if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            _ahead(each, matrices, balances, keeps, variance, k, G, late, A, P)
+            _transition(own, every, matrices, balances, holds, keeps, k - 1, F, late)
+            _ahead(own, every, keeps, variance, k, F, late, fresh, A, P)
             for r in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += matrices[k - 1, r, q] * z[q]
-                for d in range(count):
-                    total += G[r, d] * z[n + d]
-                ahead[r] = total
+                ahead[r] = 0.0
+                for m in range(s):
+                    ahead[r] += F[r, m] * z[0, m]
             for r in range(n):
-                z[r] = ahead[r]
+                z[0, r] = ahead[r]
             for d in range(count):
-                z[n + d] *= keeps[k - 1, d]
-        for c in range(channels):
+                z[0, n + d] *= keeps[k - 1, d]
+        for c in range(y.shape[1]):
             h = shows[c]
             if not noise[k, c] < np.inf:
                 scale[k, c], white[k, c] = np.inf, 0.0
                 continue
             for r in range(s):
-                K[r] = P[h, r]
-            error = y[k, c] - z[h]
+                K[0, r] = P[h, r]
+            error = y[k, c] - z[0, h]
             for d in drifts[c]:
                 if d >= 0:
                     for r in range(s):
-                        K[r] += P[n + d, r]
-                    error -= z[n + d]
-            known = K[h]
+                        K[0, r] += P[n + d, r]
+                    error -= z[0, n + d]
+            known = K[0, h]
             for d in drifts[c]:
                 if d >= 0:
-                    known += K[n + d]
+                    known += K[0, n + d]
             power = known + noise[k, c]
             if steps[c] > 0:
                 power -= steps[c] ** 2 / 12
@@ -196,31 +174,42 @@ def forward(  # type: ignore[no-untyped-def]
             elif len(deviance):
                 deviance[k, c] = error**2 / power
                 unlikely[k, c] = deviance[k, c] + np.log(power)
-            root = np.sqrt(power)
-            one = 1.0 / root
-            scale[k, c], white[k, c] = root, error * one
+            root, one = np.sqrt(power), 1.0 / power
+            scale[k, c], white[k, c] = root, error / root
             for r in range(s):
-                K[r] *= one
-                gain[k, c, r] = K[r] * one
-                z[r] += K[r] * white[k, c]
-                for q in range(r + 1):
-                    P[r, q] -= K[r] * K[q]
-                    P[q, r] = P[r, q]
+                gain[k, c, r] = one * K[0, r]
+            add_to_row(every, z, 0, error * one, K, 0)
+            for r in range(s):
+                add_to_row(every, P, r, -one * K[0, r], K, 0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def forward_again(  # type: ignore[no-untyped-def]
-    each, matrices, shows, drifts, balances, holds, keeps, scale, gain, begin, z, y, white
+    own, every, matrices, shows, drifts, balances, holds, keeps, scale, gain, begin, z, y, white
 ):
-    """As `forward`, with its scales and gains as it has found them."""
-    n, count = len(each), len(balances)
-    s, channels, width = n + count, y.shape[1], y.shape[2]
-    G, late, ahead = np.zeros((n, count)), np.zeros((n, count)), np.zeros((n, width))
+    """As `forward` of columns y (rows, C, m) from sample `begin` on, with its scales and gains as it has found them.
+
+    z (s, m) are the states, before and after; written is `white` (rows, C, m).
+    """
+    n, s = len(own), len(every)
+    count, channels, width = s - n, y.shape[1], y.shape[2]
+    F, late, ahead = np.zeros((n, s)), np.zeros((s - n, s)), np.zeros((n, width))
     for row in range(y.shape[0]):
         k = begin + row
         if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
-            _columns_ahead(each, matrices, balances, keeps, k, G, z, ahead)
+            _transition(own, every, matrices, balances, holds, keeps, k - 1, F, late)
+            for r in range(n):
+                for m in range(width):
+                    ahead[r, m] = F[r, 0] * z[0, m]
+                for q in range(1, s):
+                    for m in range(width):
+                        ahead[r, m] += F[r, q] * z[q, m]
+            for r in range(n):
+                for m in range(width):
+                    z[r, m] = ahead[r, m]
+            for d in range(count):
+                for m in range(width):
+                    z[n + d, m] *= keeps[k - 1, d]
         for c in range(channels):
             h, root = shows[c], scale[k, c]
             if not root < np.inf:
@@ -244,7 +233,8 @@ def forward_again(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def backward(  # type: ignore[no-untyped-def]
-    each,
+    own,
+    every,
     matrices,
     shows,
     drifts,
@@ -259,12 +249,14 @@ def backward(  # type: ignore[no-untyped-def]
     of_inputs,
     of_channels,
 ):
-    """From the end of one filtered column to its begin: write what `innovations.disturbances` returns."""
-    n, count = len(each), len(balances)
-    s, samples, channels = n + count, white.shape[0], white.shape[1]
-    G, late, fresh, share = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count), np.zeros(count)
-    u, past, W = np.zeros(s), np.zeros(s), np.zeros(s)
-    L, T, at = np.zeros((s, s)), np.zeros((s, s)), np.zeros(1 + drifts.shape[1], np.int64)
+    """From the end of one filtered column (N, C) to its begin: write what `innovations.disturbances` returns."""
+    n, s = len(own), len(every)
+    count, samples, channels = s - n, white.shape[0], white.shape[1]
+    F, late, share = np.zeros((n, s)), np.zeros((s - n, s)), np.zeros(count)
+    # The score of the state, its covariance, and that times a gain: of one row u, past and W.
+    u, past, W = np.zeros((1, s)), np.zeros((1, s)), np.zeros((1, s))
+    L, T = np.zeros((s, s)), np.zeros((s, s))
+    at = np.zeros(1 + drifts.shape[1], np.int64)
     for back in range(samples):
         k = samples - 1 - back
         for step in range(channels):
@@ -274,13 +266,10 @@ def backward(  # type: ignore[no-untyped-def]
             h, power = shows[c], scale[k, c] ** 2
             # u <- H' v / power + (I - K H)' u, and the same of its covariance L.
             along, across = 0.0, 0.0
+            set_row(every, every, W, 0, gain[k], c, L)
             for r in range(s):
-                along += gain[k, c, r] * u[r]
-                total = 0.0
-                for q in range(s):
-                    total += L[r, q] * gain[k, c, q]
-                W[r] = total
-                across += gain[k, c, r] * total
+                along += gain[k, c, r] * u[0, r]
+                across += gain[k, c, r] * W[0, r]
             error = white[k, c] / scale[k, c] - along
             of_channels[0, c] += error**2
             of_channels[1, c] += 1.0 / power + across
@@ -290,64 +279,44 @@ def backward(  # type: ignore[no-untyped-def]
                     at[shown] = n + d
                     shown += 1
             for a in range(shown):
-                u[at[a]] += error
+                u[0, at[a]] += error
+                add_to_row(every, L, at[a], -1.0, W, 0)
                 for r in range(s):
-                    L[r, at[a]] -= W[r]
-                    L[at[a], r] -= W[r]
+                    L[r, at[a]] -= W[0, r]
                 for b in range(shown):
                     L[at[a], at[b]] += 1.0 / power + across
         if k:
-            _entering(matrices, balances, holds, keeps, k - 1, G, late)
+            _transition(own, every, matrices, balances, holds, keeps, k - 1, F, late)
         for d in range(count):
             # What is new in a disturbance at this sample; at the first, all of it.
             share[d] = 1.0
             if k:
                 share[d] -= keeps[k - 1, d] ** 2
-            fresh[d] = variance[d] * share[d]
-            score, spread = u[n + d], L[n + d, n + d]
+            score, spread = u[0, n + d], L[n + d, n + d]
             if k and not holds[d]:
                 for r in range(n):
-                    score += late[r, d] * u[r]
-                    spread += 2.0 * late[r, d] * L[r, n + d]
+                    score += late[d, r] * u[0, r]
+                    spread += 2.0 * late[d, r] * L[r, n + d]
                     for q in range(n):
-                        spread += late[r, d] * L[r, q] * late[q, d]
-            seen[k, d] = fresh[d] * score
+                        spread += late[d, r] * L[r, q] * late[d, q]
+            seen[k, d] = variance[d] * share[d] * score
             of_inputs[0, d] += share[d] * score**2
             of_inputs[1, d] += share[d] * spread
         if k:
-            for c in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += matrices[k - 1, q, c] * u[q]
-                past[c] = total
+            set_row(every, own, past, 0, u, 0, F)
             for d in range(count):
-                total = keeps[k - 1, d] * u[n + d]
-                for q in range(n):
-                    total += G[q, d] * u[q]
-                past[n + d] = total
+                past[0, n + d] += keeps[k - 1, d] * u[0, n + d]
             for r in range(s):
-                u[r] = past[r]
-                for c in range(n):
-                    total = 0.0
-                    for q in range(n):
-                        total += L[r, q] * matrices[k - 1, q, c]
-                    T[r, c] = total
+                u[0, r] = past[0, r]
+            # L <- of what states and disturbances become: before it, and then behind.
+            for r in range(s):
+                set_row(every, own, T, r, L, r, F)
                 for d in range(count):
-                    total = keeps[k - 1, d] * L[r, n + d]
-                    for q in range(n):
-                        total += L[r, q] * G[q, d]
-                    T[r, n + d] = total
-            for c in range(s):
-                for r in range(n):
-                    total = 0.0
-                    for q in range(n):
-                        total += matrices[k - 1, q, r] * T[q, c]
-                    L[r, c] = total
-                for d in range(count):
-                    total = keeps[k - 1, d] * T[n + d, c]
-                    for q in range(n):
-                        total += G[q, d] * T[q, c]
-                    L[n + d, c] = total
+                    T[r, n + d] += keeps[k - 1, d] * L[r, n + d]
+            for r in range(s):
+                set_row_by_column(every, own, L, r, F, r, T)
+                if r >= n:
+                    add_to_row(every, L, r, keeps[k - 1, r - n], T, r)
     for k in range(1, samples):
         for d in range(count):
             seen[k, d] += keeps[k - 1, d] * seen[k - 1, d]

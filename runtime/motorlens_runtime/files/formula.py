@@ -2,7 +2,9 @@
 
 Columns enter by their heading and are converted to SI by the unit written in it, or behind it where it has none: `y[deg/s]`.
 A constant may have a unit, `0.033[m]`; `pi` is one. `row` is the number of the row, from 0: `row*0.001[s]`. `+ - * /` and
-brackets; a heading that is no plain word is written as it stands or between quotes. Nothing is evaluated but these.
+brackets; `sin` and `cos` of an angle, `abs`, and `sign`, which is -1, 0 or 1: the load of an arm is
+`0.48[N*m]*sin(angle_deg)`, a current sensed without its sign `sense_A*sign(duty_pct)`. A heading that is no plain word is
+written as it stands or between quotes. Nothing is evaluated but these.
 
 A constant without a unit that equals the conversion of a column's unit (100 of a percentage, 1000 of millivolts) states that
 conversion, and is not applied a second time: `v_mV/1000` and `v_mV` are the same voltage, and `n_rpm*2*pi/60` and `n_rpm`
@@ -33,6 +35,9 @@ _ROW = "row"
 _SAME = 1e-3
 _DIGITS = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NAME = re.compile(r"[^\s*/+\-()\[\]'\"]+")
+_FUNCTION = re.compile(r"(sin|cos|abs|sign)\s*\(")
+_OF_ANGLE = {"sin": np.sin, "cos": np.cos}
+_ANGLE = parse("rad")
 
 
 @dataclass(frozen=True)
@@ -146,10 +151,12 @@ class _Parser:
             if rest.startswith(heading) and not re.match(r"\w", rest[len(heading) : len(heading) + 1]):
                 self.at += len(heading)
                 return self.column(heading)
-        if self.skip("(") is not None:
-            inside = self.sum()
-            if self.skip(")") is None:
-                raise self.fail("a closing bracket is missing")
+        function = _FUNCTION.match(rest)
+        if function:
+            self.at += function.end() - 1
+            return self.applied(function[1], self.bracket())
+        if rest[:1] == "(":
+            inside = self.bracket()
             if inside.plain and not inside.uses:
                 return _number(float(inside.value(_no_cells)))
             return inside
@@ -171,6 +178,26 @@ class _Parser:
         raise self.fail(
             f"a column or a number is missing before {rest[:10]!r}" if rest else "it ends too early"
         )
+
+    def bracket(self) -> _Term:
+        """What stands between the brackets that come next."""
+        self.skip("(")
+        inside = self.sum()
+        if self.skip(")") is None:
+            raise self.fail("a closing bracket is missing")
+        return inside
+
+    def applied(self, name: str, inside: _Term) -> _Term:
+        """A function of a term. What it gives has no unit, but for that of `abs`."""
+        mine = inside.value
+        if name == "abs":
+            return replace(inside, value=lambda cells: np.abs(mine(cells)))
+        if name == "sign":
+            return replace(inside, value=lambda cells: np.sign(mine(cells)), dimension=PLAIN, plain=True)
+        if not inside.plain and _ANGLE and inside.dimension != _ANGLE.dimension:
+            raise self.fail(f"{name}() is of an angle, and this is in {name_of(inside.dimension)}")
+        of = _OF_ANGLE[name]
+        return replace(inside, value=lambda cells: np.asarray(of(mine(cells))), dimension=PLAIN, plain=True)
 
     def constant(self, value: float) -> _Term:
         unit = self.unit()
