@@ -21,6 +21,8 @@ COLDEST_C, HOTTEST_C = -100.0, 400.0
 _ROUNDED, _VALUES = 1e-5, 16
 # So many rows show a sign, or a time constant.
 _ROWS = 50_000
+# So much of the time a motor is driven backwards on purpose.
+_BACK = 0.05
 # A motor stands still without a current below this share of the largest speed and current.
 _STILL = 0.02
 # Steps within this share of a whole number of periods are those of a steady clock; of more periods than that, a gap.
@@ -133,7 +135,7 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                 notes.append(
                     f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
                 )
-    return notes + standstill(channels) + signs(channels) + pace(time, channels)
+    return notes + standstill(channels) + signs(channels) + without_sign(channels) + pace(time, channels)
 
 
 def _drives(channels: Mapping[str, Array]) -> bool:
@@ -205,6 +207,25 @@ def pace(time: Array, channels: Mapping[str, Array]) -> list[str]:
             "stamps in s? --column time_s=NAME"
         ]
     return []
+
+
+def without_sign(channels: Mapping[str, Array]) -> list[str]:
+    """Whether a current never falls below zero though the voltage does.
+
+    So show a shunt behind a rectifier, and the sense output of a bridge. A motor that is driven backwards takes a current
+    that is negative, but for moments in which it brakes.
+    """
+    if not {"voltage", "current"} <= set(channels):
+        return []
+    v, i = channels["voltage"], np.nan_to_num(channels["current"])
+    back = (v < 0) & (channels.get("terminal", 0 * v) == Terminal.DRIVEN)
+    some = _STILL * i.max()
+    if i.min() < -some or back.mean() < _BACK or np.mean(i[back] > some) < _EXPLAINED:
+        return []
+    return [
+        f"the current never falls below zero, though the voltage is negative in {back.mean():.0%} of the samples: shown "
+        "without its sign? --column 'current=NAME*sign(VOLTAGE)'"
+    ]
 
 
 def signs(channels: Mapping[str, Array]) -> list[str]:

@@ -3,7 +3,8 @@
 The least squares of a whole model would spend its parameters on such a channel, so it is looked for first: the textbook is
 fitted to the other channels alone, and what it then says of the one left out is compared with what that one shows. A channel
 of which nothing follows, while the others follow the model, has a gain of about zero, one whose wires are swapped a negative
-one (Isermann 2006, Fault-Diagnosis Systems, ISBN 978-3-540-24112-6, section 10.1: parity with a model of the process).
+one (Isermann 2006, Fault-Diagnosis Systems, ISBN 978-3-540-24112-6, section 10.1: parity with a model of the process). One
+that is sensed without its sign follows the size of what the others demand.
 """
 
 from collections.abc import Sequence
@@ -46,8 +47,9 @@ class DeadChannel:
         run: which recording.
         recording: its name.
         channel: "current" or "speed".
-        gain: shown over predicted.
+        gain: shown over predicted; over its size, where it is `unsigned`.
         sd: its standard deviation.
+        unsigned: whether it shows how large it is, and not which way.
         hung: when it first and last hung, in s; None where it is dead, or reversed, all along.
     """
 
@@ -56,6 +58,7 @@ class DeadChannel:
     channel: str
     gain: float
     sd: float
+    unsigned: bool = False
     hung: tuple[float, float] | None = None
 
     @property
@@ -63,6 +66,8 @@ class DeadChannel:
         """What is wrong with it, in a few words."""
         if self.hung is not None:
             return f"hangs between {self.hung[0]:.6g} and {self.hung[1]:.6g} s"
+        if self.unsigned:
+            return f"without its sign, gain {self.gain:.2f}"
         return f"{'reversed' if self.gain < -DEAD else 'dead'}, gain {self.gain:.2f}"
 
     @property
@@ -75,6 +80,12 @@ class DeadChannel:
         """For the reader."""
         if self.hung is not None:
             return f"The {self.channel} sensor of {self.recording} {self.state}: these samples were left out."
+        if self.unsigned:
+            return (
+                f"The {self.channel} sensor of {self.recording} shows no sign: it follows the size of the {self.channel} "
+                f"that the other channels demand with a gain of {self.gain:.2f} +- {self.sd:.2f}. It was left out of the "
+                f"rest; to use it: --column '{self.channel}=NAME*sign(VOLTAGE)'"
+            )
         state = "is reversed" if self.gain < -DEAD else "is dead"
         return (
             f"The {self.channel} sensor of {self.recording} {state}: what it shows follows the {self.channel} that the "
@@ -89,7 +100,9 @@ def dead_channels(file: MotorFile, runs: Sequence[Run]) -> tuple[DeadChannel, ..
     base = fit(begin, runs, base_prior(file, runs), rounds=NEAR, enough=CLOSE)
     found = []
     for r, run in enumerate(runs):
-        found += [DeadChannel(r, run.name, channel, 0.0, 0.0, when) for channel, when in run.hung.items()]
+        found += [
+            DeadChannel(r, run.name, channel, 0.0, 0.0, hung=when) for channel, when in run.hung.items()
+        ]
         for channel in run.channels:
             if channel not in PREDICTABLE or len(run.channels) < 2:
                 continue
@@ -148,19 +161,27 @@ def _judge(file: MotorFile, run: Run, r: int, channel: str) -> DeadChannel | Non
     # Near standstill a prediction is little more than what noise of the inputs stirs up.
     if stirred[c] > (1 - TRUSTED) * np.var(x):
         return None
-    x, y = x - x.mean(), y - y.mean()
+    size = np.abs(x)
+    x, y, size = x - x.mean(), y - y.mean(), size - size.mean()
     rated = {"current": file.rated.current_A, "speed": file.rated.speed_rad_s}[channel]
     if np.std(x) < max(VISIBLE * np.std(y), quantisation_step(run.measured[:, c]), SIZEABLE * rated):
         return None
-    gain = float(x @ y / (x @ x))
+    (gain, sd, left), (of_size, its_sd, its_left) = _gain(y, x), _gain(y, size)
+    # Of a motor that turned one way only, both are the same.
+    if of_size - 2 * its_sd > DEAD and its_left < TRUSTED * left:
+        return DeadChannel(r, run.name, channel, of_size, its_sd, unsigned=True)
+    dead, reversed_ = abs(gain) + 2 * sd <= DEAD, gain + 2 * sd < -DEAD
+    return DeadChannel(r, run.name, channel, gain, sd) if dead or reversed_ else None
+
+
+def _gain(y: Array, x: Array) -> tuple[float, float, float]:
+    """How many times another a signal is, both without their mean, the standard deviation of that, and what is left."""
+    square = max(float(x @ x), 1e-300)
+    gain = float(x @ y) / square
     left = y - gain * x
     # What is left may be coloured: by blocks, not by samples.
     scores = [float(part_x @ part_y) for part_x, part_y in zip(_blocks(x), _blocks(left), strict=True)]
-    sd = float(np.sqrt(np.sum(np.square(scores))) / (x @ x))
-    dead, reversed_ = abs(gain) + 2 * sd <= DEAD, gain + 2 * sd < -DEAD
-    if not (dead or reversed_):
-        return None
-    return DeadChannel(r, run.name, channel, gain, sd)
+    return gain, float(np.sqrt(np.sum(np.square(scores)))) / square, float(left @ left)
 
 
 def _blocks(y: Array) -> list[Array]:
