@@ -8,8 +8,8 @@ from scipy.stats import t as students_t
 
 from motorlens_physics.estimate.fit import Fit
 from motorlens_workbench.contest.contest import contest
-from motorlens_workbench.contest.entering import Step
-from motorlens_workbench.contest.far_from_file import enter_for_file, far_from_file, unlikely_beside_file
+from motorlens_workbench.contest.entering import Step, unlikely_beside_file
+from motorlens_workbench.contest.far_from_file import enter_for_file, far_from_file
 from motorlens_workbench.contest.needed import beyond_chance
 from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.report.json import next_command, sentence, to_json
@@ -76,6 +76,7 @@ def test_names_that_hold_by_themselves_are_told_in_front_of_that() -> None:
         torque=None,
         contradicted=("b", "k_ir"),
         instead=("iron_loss_torque",),
+        impossible=False,
         untold=(),
     )
     assert sentence(found, verdict) == (  # type: ignore[arg-type]

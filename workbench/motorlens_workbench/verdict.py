@@ -8,6 +8,7 @@ from scipy.special import expit
 
 from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.prior import RELATIVE_SD
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_runtime.errors import ModelError
@@ -40,7 +41,9 @@ class Verdict:
         shape: the term without a name that remains; None if none does.
         torque: what nobody measured of the shaft, where that explains more of what is left than any such term.
         contradicted: parameters that are far from the motor file, where nothing else is missing: one of the two is wrong; or
-            without the names `instead`, which they make up for.
+            without the names `instead`, which they make up for; or at the edge of what is possible, see `impossible`.
+        impossible: whether a parameter of the textbook ends at the edge of what is possible: of a motor that cannot be, no
+            name is told.
         instead: of the chosen ones, those for which nothing speaks but that.
         untold: what the recordings cannot tell, sentences.
     """
@@ -54,16 +57,19 @@ class Verdict:
     torque: UnmeasuredTorque | None
     contradicted: tuple[str, ...]
     instead: tuple[str, ...]
+    impossible: bool
     untold: tuple[str, ...]
 
 
 def settle(found: Finding) -> Verdict:
     """Decide."""
     outcome = found.outcome
+    judged = findings(_as_fit(found))
+    edges = tuple(key for key in judged.at_bound if key in RELATIVE_SD)
     held = [
         (one, rivals)
         for one, rivals in zip(outcome.accepted, outcome.rivals, strict=True)
-        if _holds(found, one)
+        if not edges and _holds(found, one)
     ]
     groups = _groups([rivals for _, rivals in held], _names(found))
     instead = [one for one, _ in held if one.made_up_for]
@@ -95,7 +101,9 @@ def settle(found: Finding) -> Verdict:
     if kind != "unknown" and not dead:
         contradicted = tuple(dict.fromkeys(key for one in outcome.accepted for key in one.made_up_for))
     if kind == "adequate" and not contradicted:
-        contradicted = tuple(findings(_as_fit(found)).far)
+        contradicted = tuple(judged.far)
+    if edges and not dead:
+        contradicted = edges
     if contradicted:
         # What is missing may be just what a parameter makes up for: then nothing shows but where that has gone.
         kind, equation = "unknown", _equation_of(found, contradicted[0])
@@ -109,6 +117,7 @@ def settle(found: Finding) -> Verdict:
         torque,
         contradicted,
         tuple(one.hypothesis.name for one in instead),
+        bool(edges),
         (*beside, *limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
     )
 

@@ -22,6 +22,7 @@ from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, po
 from motorlens_workbench.contest.needed import follows, needed_weight
 from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA
+from motorlens_workbench.evidence.ledger import FREEDOM
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.hypotheses.sensors import SensorShape
@@ -331,9 +332,22 @@ def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = N
 
 
 def unlikely_as_known(here: Standing, fitted: Fitted) -> float:
-    """Of a model, by what it leaves and by what is known of it beforehand; infinite where it cannot be simulated."""
+    """Of a model, by what it leaves and by what is known of it beforehand; infinite where it cannot be simulated.
+
+    A motor file that is wrong by far must not prefer what is wrong by less and cannot be.
+    """
     residual = _residual(here, fitted)
-    return residual.unlikely + fitted.pulled if residual else float("inf")
+    return residual.unlikely + unlikely_beside_file(fitted) if residual else float("inf")
+
+
+def unlikely_beside_file(fitted: Fitted) -> float:
+    """Twice the negative logarithm of how likely parameters are beforehand, where a file may be wrong about the motor's own.
+
+    Of those that is Student's t; all else that is known counts in full. But for a constant.
+    """
+    penalties = fitted.prior.penalties(fitted.model.values())
+    motor = np.array([not {".", "@"} & set(key) for key in fitted.prior.keys], dtype=np.bool_)
+    return float(np.sum(np.where(motor, (FREEDOM + 1) * np.log1p(penalties / FREEDOM), penalties)))
 
 
 def _residual(here: Standing, fitted: Fitted) -> Residual | None:

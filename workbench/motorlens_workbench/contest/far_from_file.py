@@ -9,18 +9,15 @@ the file is wrong. Errors of what a file states follow Student's t, as everywher
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor, log_occam_of
-from motorlens_workbench.contest.entering import REFITTED, Step
+from motorlens_workbench.contest.entering import REFITTED, Step, unlikely_beside_file
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import INTERVAL
-from motorlens_workbench.evidence.ledger import FREEDOM
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import log_chance
 from motorlens_workbench.fitted import Accepted, Fitted
@@ -49,16 +46,6 @@ def enter_for_file(here: Standing, say: Progress) -> Step:
 def far_from_file(fitted: Fitted) -> Mapping[str, str]:
     """Parameters that are far from the motor file, and what every command says of each, see `report.findings`."""
     return findings(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0)).far
-
-
-def unlikely_beside_file(fitted: Fitted) -> float:
-    """Twice the negative logarithm of how likely parameters are beforehand, where a file may be wrong about the motor's own.
-
-    Of those that is Student's t; all else that is known counts in full. But for a constant.
-    """
-    penalties = fitted.prior.penalties(fitted.model.values())
-    motor = np.array([not {".", "@"} & set(key) for key in fitted.prior.keys], dtype=np.bool_)
-    return float(np.sum(np.where(motor, (FREEDOM + 1) * np.log1p(penalties / FREEDOM), penalties)))
 
 
 def _fitted(here: Standing, far: Collection[str], say: Progress) -> list[tuple[Hypothesis, Fitted]]:

@@ -220,6 +220,8 @@ def _or_the_file(verdict: Verdict, offered: Mapping[str, str]) -> str:
     wrong = f"{' and '.join(verdict.contradicted)} {verb} not what the motor file says"
     which = f"{' and '.join(missing)} is missing, which" if missing else "something is missing that"
     either = f"Missing: {'; and '.join(sure)}; and either" if sure else "Either"
+    if verdict.impossible:
+        return f"Either {wrong}, or {which} {makes} up for: it ends where no motor is, and of such a one no name is told."
     return f"{either} {wrong}, or {which} {makes} up for; nothing else shows above the sizes listed."
 
 
