@@ -1,5 +1,6 @@
 """Names that a textbook parameter makes up for, hidden in recordings of another plant: only the motor file tells them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -62,6 +63,21 @@ def test_that_the_file_may_be_wrong_is_said_in_front_of_the_name(iron: Standing)
     assert any(text.startswith("Without iron_loss_torque, b: ") for text in document["cannot_tell"])
     # The error does not fall: `add` writes nothing by itself.
     assert " iron_loss_torque " in next_command(document) and " --force " in next_command(document)
+    # Of a motor that cannot be no name is told: here of one whose inertia can be no larger.
+    last = found.outcome.last
+    known = last.fitted.prior
+    least, most = known.bounds["J"]
+    inertia = last.fitted.model.values()["J"]
+    assert least < inertia < most
+    edge = replace(last.fitted, prior=replace(known, bounds={**known.bounds, "J": (least, inertia)}))
+    outcome = replace(found.outcome, last=replace(last, fitted=edge))
+    verdict = settle(replace(found, outcome=outcome))
+    assert verdict.kind == "unknown" and verdict.impossible and verdict.contradicted == ("J",)
+    assert not verdict.chosen and not any(verdict.probability.values())
+    assert sentence(found, verdict) == (
+        "Either J is not what the motor file says, or something is missing that it makes up for: it ends where no motor is, "
+        "and of such a one no name is told."
+    )
 
 
 def test_names_that_hold_by_themselves_are_told_in_front_of_that() -> None:
