@@ -317,18 +317,19 @@ def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effec
 
 
 def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = None) -> Fitted | None:
-    """A model estimated from the beginning, if that is likelier than where a refit has led; None if it is not.
+    """A model estimated from the beginning, if where a refit has led is not likelier by far; None if it is.
 
     It begins with its effects as the refit has them and, given what a look says of the last, with that at its typical size.
 
     What was missing may have passed for a delay, or for inputs that ran otherwise between their samples; or it has bent the
     parameters to where another motor, unlike its file, does nearly as well. Which is likelier is asked of both as they are
-    known from the recordings and beforehand.
+    known from the recordings and beforehand. Of two that are nearly as likely it is not for the last digits to choose: the
+    one from the beginning is what a calibration of that model would give.
     """
     begins = [fitted] if typical is None else [fitted, begun(here.fitted, typical)]
-    ends = [end for end in map(anew, begins) if end is not None]
-    best = min([fitted, *ends], key=lambda end: unlikely_as_known(here, end))
-    return None if best is fitted else best
+    ends = [(unlikely_as_known(here, end), end) for end in map(anew, begins) if end is not None]
+    unlikely, best = min(ends, key=lambda known: known[0], default=(np.inf, fitted))
+    return best if unlikely < unlikely_as_known(here, fitted) + 2 * NEARLY else None
 
 
 def unlikely_as_known(here: Standing, fitted: Fitted) -> float:
