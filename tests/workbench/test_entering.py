@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.textbook import textbook_on
+from scipy.stats import t as students_t
 
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.weighed import weighed
@@ -124,12 +125,16 @@ def _cost(model: Model, here: Standing) -> float:
 
 @pytest.mark.fit
 @pytest.mark.parametrize(
-    ("likelier", "away", "goes_there"), [(3.0, 1.0, True), (3.0, 3.0, False), (-3.0, -3.0, True)]
+    ("likelier", "away", "goes_there"),
+    [(3.0, 1.0, True), (3.0, 4.0, True), (3.0, 5.0, False), (-3.0, -3.0, True), (-7.0, 0.0, False)],
 )
 def test_of_two_fits_of_a_model_that_stands_which_is_likelier_with_all_that_is_known(
     bare: Standing, monkeypatch: pytest.MonkeyPatch, likelier: float, away: float, goes_there: bool
 ) -> None:
-    """By Bayes: twice the logarithm of the likelihood, less the squares of what moved against what was known before."""
+    """By Bayes: twice the logarithm of the likelihood, less that of Student's t, as a motor file errs.
+
+    The fit from the beginning is taken unless the other is likelier by more than twice the logarithm of 20, 6.0.
+    """
     here, stood, key = bare, bare.fitted, "R_a0"
     values, sd = stood.model.values(), stood.prior.sd[key]
 
@@ -138,9 +143,10 @@ def test_of_two_fits_of_a_model_that_stands_which_is_likelier_with_all_that_is_k
         centre = {**stood.prior.centre, key: values[key] - deviations * sd}
         return replace(stood, prior=replace(stood.prior, centre=centre))
 
-    start = 0.0 if away > 0 else 3.0
+    start = 0.0 if away >= 0 else 3.0
     before, after = known(start), known(start + away)
-    assert after.pulled - before.pulled == pytest.approx((start + away) ** 2 - start**2)
+    unlikely = -2 * np.diff(students_t.logpdf([start, start + away], 4))[0] - likelier
+    assert goes_there == (unlikely < 2 * np.log(20))
     score = here.scores[0]
     monkeypatch.setattr(entering, "anew", lambda fitted: after)
     leaves = {id(before): SimpleNamespace(unlikely=0.0), id(after): SimpleNamespace(unlikely=-likelier)}
