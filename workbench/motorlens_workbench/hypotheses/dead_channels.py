@@ -167,8 +167,8 @@ def _judge(file: MotorFile, run: Run, r: int, channel: str) -> DeadChannel | Non
     if np.std(x) < max(VISIBLE * np.std(y), quantisation_step(run.measured[:, c]), SIZEABLE * rated):
         return None
     (gain, sd, left), (of_size, its_sd, its_left) = _gain(y, x), _gain(y, size)
-    # Of a motor that turned one way only, both are the same.
-    if of_size - 2 * its_sd > DEAD and its_left < TRUSTED * left:
+    # Of a motor that turned one way only, both are the same. How large a current is, is hardly told without it.
+    if of_size > 2 * its_sd and its_left < TRUSTED * left:
         return DeadChannel(r, run.name, channel, of_size, its_sd, unsigned=True)
     dead, reversed_ = abs(gain) + 2 * sd <= DEAD, gain + 2 * sd < -DEAD
     return DeadChannel(r, run.name, channel, gain, sd) if dead or reversed_ else None
