@@ -129,6 +129,7 @@ def in_blocks(space: StateSpace, known: Filtered, columns: Array, blocks: Iterab
     Of a filter that has been through these samples, scales and gains are `known`: they are the same for all columns.
     """
     space, _ = _acting(space)
+    _assert_of(known, space)
     states = np.zeros((known.gain.shape[2], columns.shape[2]))
     for rows in blocks:
         white = np.empty((rows.stop - rows.start, *columns.shape[1:]))
@@ -177,6 +178,11 @@ def _sizes(space: StateSpace) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return (0.0,) * len(space.start), (0.0,) * (len(space.start) + len(space.variance))
 
 
+def _assert_of(filtered: Filtered, space: StateSpace) -> None:
+    """Machine code reads on past the end of gains that are of other disturbances."""
+    assert filtered.gain.shape == (*space.noise.shape, len(space.start) + len(space.variance))
+
+
 def _at_first(space: StateSpace) -> Array:
     """(s, s) covariance of states and disturbances at the first sample."""
     return np.diag(np.concatenate([space.start, space.variance]))
@@ -207,6 +213,7 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
     """
     every, channels = len(space.balances), space.noise.shape[1]
     space, acting = _acting(space)
+    _assert_of(filtered, space)
     seen, of_inputs, of_channels = (
         np.zeros((len(space.noise), len(space.variance))), np.zeros((2, len(space.variance))), np.zeros((2, channels))
     )  # fmt: skip
