@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.reading.clock import steady
+from motorlens_physics.reading.suspicion import without_sign
 from motorlens_physics.recording import Recording, read_recording, under
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.csv_stream import CsvStream
@@ -424,6 +425,18 @@ def test_a_reversed_sensor_is_suspected(tmp_path, sign, which):
     columns = (TIME, sign[0] * VOLTAGE, sign[1] * CURRENT, sign[2] * SPEED)
     assert any(f"is the {which} reversed" in note for note in read(tmp_path, text(columns)).notes)
     assert not any("reversed" in note for note in read(tmp_path, PLAIN).notes)
+
+
+def test_a_current_without_a_sign_is_suspected_where_the_motor_is_driven_backwards():
+    time = np.arange(2000) * 0.001
+    voltage, current = np.where(time < 1.5, 12.0, -12.0), np.where(time < 1.5, 0.8, -0.7)
+    current[:20], current[1500:1520] = 4.0, -7.0
+    (note,) = without_sign({"voltage": voltage, "current": np.abs(current)})
+    assert "negative in 25% of the samples" in note and "--column 'current=NAME*sign(VOLTAGE)'" in note
+    assert not without_sign({"voltage": voltage, "current": current})
+    assert not without_sign({"voltage": np.abs(voltage), "current": np.abs(current)})
+    # Off while it is driven back, as a bridge of one direction leaves it.
+    assert not without_sign({"voltage": voltage, "current": np.maximum(current, 0.0)})
 
 
 def test_the_voltage_of_a_supply_is_suspected_where_the_motor_stands_still_under_it(tmp_path):

@@ -27,6 +27,14 @@ def iron(tmp_path_factory: pytest.TempPathFactory) -> Standing:
     return textbook_on(tmp_path_factory.mktemp("iron"), "gear_12V", [IRON], "no_load_steps", 10.0)
 
 
+@pytest.fixture(scope="module")
+def found(iron: Standing) -> Finding:
+    """What a contest says of it."""
+    fitted = iron.fitted
+    base = SimpleNamespace(fit=Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0))
+    return Finding(base, contest(fitted))  # type: ignore[arg-type]
+
+
 @pytest.mark.fit
 def test_what_viscous_friction_makes_up_for_is_seen_with_the_file_at_its_word(iron: Standing) -> None:
     assert set(far_from_file(iron.fitted)) == {"b"} and not beyond_chance(iron, [], [])
@@ -47,10 +55,7 @@ def test_what_viscous_friction_makes_up_for_is_seen_with_the_file_at_its_word(ir
 
 
 @pytest.mark.fit
-def test_that_the_file_may_be_wrong_is_said_in_front_of_the_name(iron: Standing) -> None:
-    fitted = iron.fitted
-    base = SimpleNamespace(fit=Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0))
-    found = Finding(base, contest(fitted))  # type: ignore[arg-type]
+def test_that_the_file_may_be_wrong_is_said_in_front_of_the_name(found: Finding) -> None:
     verdict = settle(found)
     assert verdict.kind == "unknown" and verdict.equation == "mechanical" and verdict.shape is None
     assert verdict.chosen == verdict.instead == ("iron_loss_torque",) and verdict.contradicted == ("b",)
@@ -63,7 +68,11 @@ def test_that_the_file_may_be_wrong_is_said_in_front_of_the_name(iron: Standing)
     assert any(text.startswith("Without iron_loss_torque, b: ") for text in document["cannot_tell"])
     # The error does not fall: `add` writes nothing by itself.
     assert " iron_loss_torque " in next_command(document) and " --force " in next_command(document)
-    # Of a motor that cannot be no name is told: here of one whose inertia can be no larger.
+
+
+@pytest.mark.fit
+def test_of_a_motor_that_cannot_be_no_name_is_told(found: Finding) -> None:
+    """The same recording, had its motor an inertia that can be no larger."""
     last = found.outcome.last
     known = last.fitted.prior
     least, most = known.bounds["J"]
@@ -73,6 +82,7 @@ def test_that_the_file_may_be_wrong_is_said_in_front_of_the_name(iron: Standing)
     outcome = replace(found.outcome, last=replace(last, fitted=edge))
     verdict = settle(replace(found, outcome=outcome))
     assert verdict.kind == "unknown" and verdict.impossible and verdict.contradicted == ("J",)
+    assert verdict.shape is None and verdict.torque is None
     assert not verdict.chosen and not any(verdict.probability.values())
     assert sentence(found, verdict) == (
         "Either J is not what the motor file says, or something is missing that it makes up for: it ends where no motor is, "

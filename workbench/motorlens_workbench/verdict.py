@@ -43,7 +43,7 @@ class Verdict:
         contradicted: parameters that are far from the motor file, where nothing else is missing: one of the two is wrong; or
             without the names `instead`, which they make up for; or at the edge of what is possible, see `impossible`.
         impossible: whether a parameter of the textbook ends at the edge of what is possible: of a motor that cannot be, no
-            name is told.
+            name is told, and no shape or torque.
         instead: of the chosen ones, those for which nothing speaks but that.
         untold: what the recordings cannot tell, sentences.
     """
@@ -103,7 +103,7 @@ def settle(found: Finding) -> Verdict:
     if kind == "adequate" and not contradicted:
         contradicted = tuple(judged.far)
     if edges and not dead:
-        contradicted = edges
+        contradicted, shape, torque, beside = edges, None, None, []
     if contradicted:
         # What is missing may be just what a parameter makes up for: then nothing shows but where that has gone.
         kind, equation = "unknown", _equation_of(found, contradicted[0])

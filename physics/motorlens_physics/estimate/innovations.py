@@ -129,7 +129,7 @@ def in_blocks(space: StateSpace, known: Filtered, columns: Array, blocks: Iterab
     Of a filter that has been through these samples, scales and gains are `known`: they are the same for all columns.
     """
     space, _ = _acting(space)
-    _assert_of(known, space)
+    _assert_gains_of(space, known)
     states = np.zeros((known.gain.shape[2], columns.shape[2]))
     for rows in blocks:
         white = np.empty((rows.stop - rows.start, *columns.shape[1:]))
@@ -178,8 +178,8 @@ def _sizes(space: StateSpace) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return (0.0,) * len(space.start), (0.0,) * (len(space.start) + len(space.variance))
 
 
-def _assert_of(filtered: Filtered, space: StateSpace) -> None:
-    """Machine code reads on past the end of gains that are of other disturbances."""
+def _assert_gains_of(space: StateSpace, filtered: Filtered) -> None:
+    """Gains must be of the disturbances that act: machine code would read on past their end."""
     assert filtered.gain.shape == (*space.noise.shape, len(space.start) + len(space.variance))
 
 
@@ -213,7 +213,7 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
     """
     every, channels = len(space.balances), space.noise.shape[1]
     space, acting = _acting(space)
-    _assert_of(filtered, space)
+    _assert_gains_of(space, filtered)
     seen, of_inputs, of_channels = (
         np.zeros((len(space.noise), len(space.variance))), np.zeros((2, len(space.variance))), np.zeros((2, channels))
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 Loops over the few columns of a small matrix are unrolled by the compiler and then run number by number. Here code is written
 for whole rows. They are a multiple of `LANES` long, which the compiler knows from the length of a tuple, `every`; matrices
-have such rows, one after another.
+have such rows, one after another, float64. As in all machine code, nothing is checked: a row that is not there is read.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,16 +43,7 @@ def add_to_row(typing: Any, every: Any, to: Any, r: Any, factor: Any, of: Any, q
 @intrinsic  # type: ignore[untyped-decorator]
 def set_row(typing: Any, every: Any, some: Any, to: Any, r: Any, factors: Any, q: Any, of: Any) -> Any:
     """Let to[r] = factors[q, :k] @ of[:k], k the length of `some`."""
-    return _compiled(
-        (every, some, to, types.intp, factors, types.intp, of),
-        lambda row, _, to, r, factors, q, of: row.write(
-            to,
-            r,
-            row.combined(
-                [(row.one(factors, q, m), row.read(of, m)) for m in map(ADDRESS, range(some.count))]
-            ),
-        ),
-    )
+    return _product(every, some, to, factors, of, lambda q, m: (q, m))
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -60,16 +51,19 @@ def set_row_by_column(
     typing: Any, every: Any, some: Any, to: Any, r: Any, factors: Any, c: Any, of: Any
 ) -> Any:
     """Let to[r] = factors[:k, c] @ of[:k], k the length of `some`."""
-    return _compiled(
-        (every, some, to, types.intp, factors, types.intp, of),
-        lambda row, _, to, r, factors, c, of: row.write(
-            to,
-            r,
-            row.combined(
-                [(row.one(factors, m, c), row.read(of, m)) for m in map(ADDRESS, range(some.count))]
-            ),
-        ),
-    )
+    return _product(every, some, to, factors, of, lambda c, m: (m, c))
+
+
+def _product(
+    every: Any, some: Any, to: Any, factors: Any, of: Any, place: Callable[[Any, Any], tuple[Any, Any]]
+) -> Any:
+    """Of factors that stand at a `place`, given the number of the row or the column and that of the factor."""
+
+    def write(row: "_Rows", _: Any, to: Any, r: Any, factors: Any, at: Any, of: Any) -> None:
+        numbers = map(ADDRESS, range(some.count))
+        row.write(to, r, row.combined([(row.one(factors, *place(at, m)), row.read(of, m)) for m in numbers]))
+
+    return _compiled((every, some, to, types.intp, factors, types.intp, of), write)
 
 
 class _Rows:

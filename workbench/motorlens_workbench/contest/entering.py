@@ -34,7 +34,8 @@ from motorlens_workbench.telling import Progress
 REFITTED = 4
 # Names with which the motor is estimated to the end, of all that are tried.
 ESTIMATED = 6
-# Names less likely than the likeliest by no more than this, in a logarithm, may be what is missing as well.
+# Names less likely than the likeliest by no more than this, in a logarithm, may be what is missing as well; and so may a fit
+# be where the motor is.
 NEARLY = float(-np.log(1 - CRITERIA.credible))
 
 # The model in which a name was tried, and the same with it.
@@ -317,7 +318,7 @@ def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effec
 
 
 def from_the_beginning(here: Standing, fitted: Fitted, typical: Score | None = None) -> Fitted | None:
-    """A model estimated from the beginning, if where a refit has led is not likelier by far; None if it is.
+    """A model estimated from the beginning, unless where a refit has led is likelier by more than `NEARLY`: then None.
 
     It begins with its effects as the refit has them and, given what a look says of the last, with that at its typical size.
 

@@ -34,6 +34,9 @@ ALIVE = 0.25
 DEAD = 0.25
 # Share of the other channels' variance that the model must explain, for its word to count against the one left out.
 TRUSTED = 0.8
+# A channel follows the size of what is predicted if that leaves less than this share of what the prediction itself leaves: a
+# dead one follows either a little, by chance, and of a motor that turned one way only both are the same.
+WITHOUT_SIGN = 0.8
 # What is predicted for the channel must stand out of what the channel shows beside, and be a share of its rated value: the
 # little that noise of the inputs demands near standstill is no reason to call a sensor dead.
 VISIBLE, SIZEABLE = 0.3, 0.05
@@ -167,8 +170,8 @@ def _judge(file: MotorFile, run: Run, r: int, channel: str) -> DeadChannel | Non
     if np.std(x) < max(VISIBLE * np.std(y), quantisation_step(run.measured[:, c]), SIZEABLE * rated):
         return None
     (gain, sd, left), (of_size, its_sd, its_left) = _gain(y, x), _gain(y, size)
-    # Of a motor that turned one way only, both are the same. How large a current is, is hardly told without it.
-    if of_size > 2 * its_sd and its_left < TRUSTED * left:
+    # How large a gain has nothing to say: without its current, the size of a motor's current is hardly known.
+    if of_size > 2 * its_sd and its_left < WITHOUT_SIGN * left:
         return DeadChannel(r, run.name, channel, of_size, its_sd, unsigned=True)
     dead, reversed_ = abs(gain) + 2 * sd <= DEAD, gain + 2 * sd < -DEAD
     return DeadChannel(r, run.name, channel, gain, sd) if dead or reversed_ else None

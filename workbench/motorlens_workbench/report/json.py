@@ -221,7 +221,8 @@ def _or_the_file(verdict: Verdict, offered: Mapping[str, str]) -> str:
     which = f"{' and '.join(missing)} is missing, which" if missing else "something is missing that"
     either = f"Missing: {'; and '.join(sure)}; and either" if sure else "Either"
     if verdict.impossible:
-        return f"Either {wrong}, or {which} {makes} up for: it ends where no motor is, and of such a one no name is told."
+        ends = "it ends" if len(verdict.contradicted) == 1 else "they end"
+        return f"Either {wrong}, or {which} {makes} up for: {ends} where no motor is, and of such a one no name is told."
     return f"{either} {wrong}, or {which} {makes} up for; nothing else shows above the sizes listed."
 
 
