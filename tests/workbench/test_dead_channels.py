@@ -62,8 +62,8 @@ def test_a_sensor_with_its_wires_swapped_is_found(channel: str, gain: float, fau
         assert found[0][1] == pytest.approx(gain, abs=0.1)
 
 
-@pytest.mark.parametrize("channel", ["current", "speed"])
-def test_a_sensor_without_a_sign_is_told_from_a_dead_one(channel: str) -> None:
+@pytest.mark.parametrize(("channel", "draw"), [("current", 0), ("speed", 16)])
+def test_a_sensor_without_a_sign_is_told_from_a_dead_one(channel: str, draw: int) -> None:
     file = read_motor_file(MELLAH)
     rng, time = np.random.default_rng(2), np.arange(4000) * 0.002
     voltage = 100 * np.repeat(rng.uniform(-1, 1, 16), 250)
@@ -76,6 +76,11 @@ def test_a_sensor_without_a_sign_is_told_from_a_dead_one(channel: str) -> None:
     assert found.unsigned and found.channel == channel
     assert found.gain == pytest.approx(1.0, abs=0.1)
     assert "shows no sign" in found.sentence and "sign(VOLTAGE)" in found.sentence
+    # Noise alone follows the size of anything a little, by chance: this draw by two deviations.
+    noise = np.std(shown[channel]) * np.random.default_rng(draw).standard_normal(4000)
+    dead_one = replace(signed, channels={**signed.channels, channel: noise})
+    (found,) = dead_channels(file, (prepare(dead_one, file),))
+    assert not found.unsigned and "is dead" in found.sentence
 
 
 @pytest.mark.parametrize(
