@@ -235,13 +235,16 @@ def _acting(space: StateSpace) -> tuple[StateSpace, NDArray[np.int64]]:
     # The last stands for -1: none.
     now_at = np.full(len(space.variance) + 1, -1)
     now_at[acting] = np.arange(len(acting))
+    used, samples = len(acting) + silent, len(space.keeps)
+    keeps, variance = np.zeros((samples, used)), np.zeros(used)
+    keeps[:, : len(acting)], variance[: len(acting)] = space.keeps[:, acting], space.variance[acting]
     fewer = replace(
         space,
         balances=np.append(space.balances[acting], np.full(silent, -1)),
         drifts=now_at[space.drifts],
         holds=np.append(space.holds[acting], np.full(silent, True)),
-        keeps=np.pad(space.keeps[:, acting], ((0, 0), (0, silent))),
-        variance=np.pad(space.variance[acting], (0, silent)),
+        keeps=keeps,
+        variance=variance,
     )
     return fewer, acting
 

@@ -346,9 +346,9 @@ def _sums(
             cross, inner = [], []
             for rows, filtered in zip(blocks, white(columns, blocks), strict=True):
                 cross.append(_products(wide[rows], filtered))
-                inner.append([_products(z, z) for z in (filtered[:, :, at] for at in own)])
-            across, within = np.array(cross), list(zip(*inner, strict=True))
-            sums.of_shapes.extend((across[:, :, at], np.array(z)) for at, z in zip(own, within, strict=True))
+                inner.append(_products(filtered, filtered))
+            across, within = np.array(cross), np.array(inner)
+            sums.of_shapes.extend((across[:, :, at], within[:, at, at].copy()) for at in own)
     return made
 
 

@@ -50,19 +50,19 @@ class Whitener:
     @property
     def blue(self) -> NDArray[np.bool_]:
         """(C,) channels with more power at the highest frequencies than in the mean, and much more than at the lowest."""
-        lowest, highest = (self._power(turn) for turn in (0.0, np.pi))
         turns = np.pi * (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES
-        mean = np.mean([self._power(turn) for turn in turns], axis=0)
-        return np.asarray(highest > np.maximum(mean, STEEP * lowest))
+        powers = self._powers(np.array([0.0, *turns, np.pi]))
+        mean = np.mean(powers[1:-1], axis=0)
+        return np.asarray(powers[-1] > np.maximum(mean, STEEP * powers[0]))
 
-    def _power(self, turn: float) -> Array:
-        """(C,) spectral density of each channel at an angle per row, over that of white noise of 1."""
-        lag = np.exp(-1j * turn * np.arange(self.order + 1))
-        keep = np.exp(-1 / np.array(self.memories, dtype=np.float64))
-        mean = (1 - keep) * np.exp(-1j * turn) / (1 - keep * np.exp(-1j * turn))
+    def _powers(self, turns: Array) -> Array:
+        """(T, C) spectral density of each channel at angles per row (T,), over that of white noise of 1."""
+        lag = np.exp(-1j * turns[:, None] * np.arange(self.order + 1))
+        keep, once = np.exp(-1 / np.array(self.memories, dtype=np.float64)), np.exp(-1j * turns)[:, None]
+        mean = (1 - keep) * once / (1 - keep * once)
         taken = np.tensordot(lag, self.coefficients, axes=1) + np.tensordot(mean, self.memory, axes=1)
         response = np.linalg.inv(np.eye(len(self.sigma)) - taken) * self.sigma
-        return np.asarray(np.sum(np.abs(response) ** 2, axis=1))
+        return np.asarray(np.sum(np.abs(response) ** 2, axis=2))
 
     def among(self, which: NDArray[np.bool_], sigma: Array) -> "Whitener":
         """Of some of C channels (C,), of which the others are white, with `sigma` (C,)."""
