@@ -13,6 +13,7 @@ from scipy.stats import t as students_t
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.weighed import weighed
 from motorlens_workbench.contest import entering
+from motorlens_workbench.contest.contest import contest
 from motorlens_workbench.contest.entering import Step, enter_for_delays, enter_unseen
 from motorlens_workbench.contest.needed import beyond_chance, unseen
 from motorlens_workbench.evidence.ledger import Lens, ledger
@@ -70,6 +71,22 @@ def test_a_sensor_that_lags_is_told_from_channels_that_come_late_or_early(
     end = step.standing.fitted
     assert end.model.values()[f"{name}.tau"] == pytest.approx(lags_s, rel=0.1)
     assert not any(end.runs[0].late.values())
+
+
+@pytest.mark.fit
+def test_what_a_delay_stands_for_is_asked_again_beside_what_was_missing(tmp_path: Path) -> None:
+    """Where the voltage is off as well, at first neither fits: a lag of 6 ms passes for a delay of three samples."""
+    hidden: list[dict[str, Any]] = [
+        {"name": "speed_sensor_lag", "size": 0.006, "shape": {}},
+        {"name": "voltage_sensor_offset", "size": 1.2, "shape": {}},
+    ]
+    here = textbook_on(tmp_path, "servo_24V", hidden, "no_load_steps", 6.0)
+    assert here.fitted.runs[0].late == {"speed": 3}
+    assert enter_for_delays(here, (), lambda text: None).accepted is None
+    out = contest(here.fitted)
+    assert {one.hypothesis.name for one in out.accepted} == {"speed_sensor_lag", "voltage_sensor_offset"}
+    assert out.last.fitted.model.values()["speed_sensor_lag.tau"] == pytest.approx(0.006, rel=0.1)
+    assert not any(out.last.fitted.runs[0].late.values())
 
 
 @pytest.mark.fit

@@ -12,12 +12,12 @@ from motorlens_physics.estimate.prior import RELATIVE_SD
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.needed import leaves_noise, needed_weight
+from motorlens_workbench.contest.needed import follows, leaves_noise, needed_weight
 from motorlens_workbench.contest.rivals import Rivals
 from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import CRITERIA, INTERVAL
 from motorlens_workbench.diagnose import Finding
-from motorlens_workbench.evidence.held_out import by_run, fitted_errors
+from motorlens_workbench.evidence.held_out import by_run, fitted_errors, times_noise
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.evidence.unmeasured_torque import UnmeasuredTorque, unmeasured_torque
 from motorlens_workbench.fitted import Accepted
@@ -155,8 +155,7 @@ def _kind(found: Finding, held: Sequence[tuple[Accepted, tuple[str, ...]]]) -> t
             return "unknown", heaviest.entry.hypothesis.equation
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
         return ("not_testable" if blind else "adequate"), None
-    if last.rest is not None and not leaves_noise(last) and last.book.colour > _won([one for one, _ in held]):
-        # The names are no more than a part of what is missing.
+    if last.rest is not None and _no_more_than_a_part(found, [one for one, _ in held]):
         return "unknown", last.rest.entry.hypothesis.equation
     if any(len(group) > 1 for _, group in held):
         kind = "group"
@@ -165,6 +164,15 @@ def _kind(found: Finding, held: Sequence[tuple[Accepted, tuple[str, ...]]]) -> t
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
+
+
+def _no_more_than_a_part(found: Finding, names: Sequence[Accepted]) -> bool:
+    """Whether names have explained less of what is missing than what remains: of the errors, or as colour of the noise."""
+    first, last = found.outcome.first, found.outcome.last
+    if leaves_noise(last):
+        return False
+    before, after = (times_noise(one.book, one.lines, last.floor) ** 2 - 1 for one in (first, last))
+    return last.book.colour > _won(names) or (not follows(last) and after > before - after)
 
 
 def _won(accepted: Sequence[Accepted]) -> float:

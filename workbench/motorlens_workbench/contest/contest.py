@@ -85,7 +85,8 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
     estimated: list[str] = []
     pointed: dict[str, None] = {}
     nameless: tuple[Standing, list[Accepted]] | None = None
-    entered = 0
+    # How many have entered, and how many had when it was asked what delays stand for.
+    entered = asked = 0
     # What entered may leave again beside what came later: it must not go on for ever.
     while len(accepted) < EFFECTS and entered < 2 * EFFECTS:
         challengers = beyond_chance(here, accepted, refused)
@@ -93,12 +94,16 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
         sticking = [] if challengers or able or here.null is None else unseen(here, refused)
         # Beside names that stand, what is correlated may be a torque that nobody measured, or coloured noise.
         enough = follows(here) if accepted else leaves_noise(here)
-        if not challengers and not able and not sticking and (here.rest is None or enough):
+        silent = not challengers and not able and not sticking and (here.rest is None or enough)
+        if silent and entered == asked:
             break
         pointed |= dict.fromkeys(one.name for one in challengers)
         if nameless is None and any(not one.named for one in challengers):
             nameless = here, list(accepted)
-        if challengers or able:
+        if silent:
+            # What was missing may have hidden of which sensor a delay is the lag.
+            step, asked = enter_for_delays(here, own, say), entered
+        elif challengers or able:
             step = enter(here, challengers, able, refused, estimated, own, say)
         elif sticking:
             step = enter_unseen(here, sticking, own, say)
