@@ -1,7 +1,8 @@
 """Which name enters a model next: the best are fitted in full, and the best of those enters if it is beyond chance there.
 
 What may hold a rotor at rest is looked at from models that have it, once nothing else is beyond chance. Before all else,
-what a delay stands for may be the lag of a sensor: the motor is estimated anew with one, and the likelier stays.
+what a delay stands for may be the lag of a sensor, and once more when nothing else shows: the motor is estimated anew with
+one, and the likelier stays.
 
 Where no name does though something is missing, or where the model with one still does not follow, the motor is estimated
 from the beginning with each name of the equation: what is missing bends a fit, and from where that ends no name may help.
