@@ -13,6 +13,7 @@ from helpers.ledgers import ROWS, book_of
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_workbench.contest.bayes_factor import simplest
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
+from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.hypotheses.effects import catalogue, of_effect
@@ -68,15 +69,31 @@ def test_a_bump_is_told_rather_than_a_curve_that_leaves_little_less():
 def test_the_doubt_of_a_correction_is_what_a_hundred_samples_leave_in_the_variance_behind_it():
     """Noise of an input makes a column and the error alike by its variance, which is taken out as it was estimated."""
     rng = np.random.default_rng(1)
-    information, moved = 50.0, 40.0
-    estimates = np.mean(rng.standard_normal((4000, 100)) ** 2, axis=1)
-    # What is taken out of the score is in proportion to the variance; what that leaves adds to a variance of one.
-    left = moved * (1 - estimates)
-    scatter = np.mean(left**2) / information
-    score = sized(1.0, information=information)
-    doubted = Score(**{**vars(score), "inverse": np.array([[1 / information]])})
-    told = doubted.doubt_of(np.array([100.0 + moved]), np.array([100.0]))
-    assert 1.0 <= told / scatter <= 4.0
+    noise, signal, error = (
+        3.0 * rng.standard_normal(ROWS),
+        rng.standard_normal(ROWS),
+        rng.standard_normal(ROWS),
+    )
+    other = rng.standard_normal((ROWS, 1))
+
+    def size(left: float) -> float:
+        """By least squares, if this share of the noise's variance is left in a column and, turned round, in the error."""
+        column, seen = signal + np.sqrt(left) * noise, error + 0.2 * signal - 0.1 * np.sqrt(left) * noise
+        return float(np.linalg.lstsq(np.column_stack([column, other]), seen)[0][0])
+
+    estimates = np.mean(rng.standard_normal((400, 100)) ** 2, axis=1)
+    scatter = np.mean([(size(abs(1 - estimate)) - size(0.0)) ** 2 for estimate in estimates]) * np.sum(
+        signal**2
+    )
+    corrected, measured = (
+        book_of(other, [(signal + left * noise)[:, None]], error + 0.2 * signal - 0.1 * left * noise)
+        for left in (0.0, 1.0)
+    )
+    (score,), (entry,), (noisy,) = corrected.scores(), corrected.entries, measured.entries
+    again = corrected.noisier(measured).beside().score(entry.towards(noisy, CRITERIA.doubt))
+    assert 1.0 <= score.doubt_of(again) / scatter <= 4.0
+    # What would not be told at all may be nothing.
+    assert score.doubt_of(None) == pytest.approx(score.gain, rel=1e-6)
 
 
 @pytest.mark.parametrize(("less", "stands"), [(0.002, True), (0.03, False)])

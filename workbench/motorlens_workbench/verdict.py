@@ -89,7 +89,7 @@ def settle(found: Finding) -> Verdict:
     chosen = (*dead, *(one.hypothesis.name for one, _ in held if one.hypothesis.name not in dead))
     groups = [*((name,) for name in dead), *(group for group in groups if group[0] not in dead)]
     last = outcome.last
-    shape = (outcome.unnamed or last.rest) if kind == "unknown" else None
+    shape = (outcome.unnamed or _told(found, [one for one, _ in held]).rest) if kind == "unknown" else None
     seen = unmeasured_torque(last) if kind in ("adequate", "unknown") and outcome.unnamed is None else None
     # Unless what is left is correlated beside such a torque too.
     torque = seen if kind == "unknown" and seen is not None and seen.won > last.book.colour else None
@@ -148,11 +148,11 @@ def _kind(found: Finding, held: Sequence[tuple[Accepted, tuple[str, ...]]]) -> t
     if unnamed is not None:
         return "unknown", unnamed.entry.hypothesis.equation
     if not held:
-        heaviest = last.rest
+        told = _told(found, ())
         if not any(run.moves for run in found.runs):
             return "not_testable", None
-        if heaviest is not None and not leaves_noise(last):
-            return "unknown", heaviest.entry.hypothesis.equation
+        if told.rest is not None and not leaves_noise(told):
+            return "unknown", told.rest.entry.hypothesis.equation
         blind = all(detectable(found, score) > 3 for score in seen_named(found.outcome.last).values())
         return ("not_testable" if blind else "adequate"), None
     if last.rest is not None and _no_more_than_a_part(found, [one for one, _ in held]):
@@ -164,6 +164,12 @@ def _kind(found: Finding, held: Sequence[tuple[Accepted, tuple[str, ...]]]) -> t
     else:
         kind = "named"
     return kind, held[0][0].hypothesis.equation
+
+
+def _told(found: Finding, held: Sequence[Accepted]) -> Standing:
+    """The model that is told: where none of the names that entered holds, it has none, and leaves what they explained."""
+    outcome = found.outcome
+    return outcome.last if held or not outcome.accepted else outcome.first
 
 
 def _no_more_than_a_part(found: Finding, names: Sequence[Accepted]) -> bool:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_workbench.contest.needed import needed_weight
-from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger
+from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
 from motorlens_workbench.evidence.look import best_of
-from motorlens_workbench.evidence.score import Entry, Score, log_chance
+from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, without_hypothesis
@@ -25,20 +25,14 @@ Array = NDArray[np.float64]
 
 def own_score(book: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:
     """What an accepted hypothesis explains, seen from the model that has it (Wald's test); None where it is not told."""
-    if hypothesis.key not in book.keys:
-        return None
-    beside, entry = _own(book, fitted, hypothesis)
-    return beside.score(entry)
-
-
-def _own(book: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> tuple[Beside, Entry]:
-    """The sums without an accepted hypothesis, and its own."""
     key = hypothesis.key
+    if key not in book.keys:
+        return None
     null = fitted.model.file.meaning(key).null or 0.0
     size = (fitted.model.values()[key] - null) / fitted.prior.sd[key]
     others = [other for other in book.keys if not other.startswith(f"{hypothesis.name}.")]
     free = replace(hypothesis, kind="unnamed", typical=float("inf"))
-    return book.beside(others, {key: size}), book.entry_of(key, free, hypothesis.shapes[0])
+    return book.beside(others, {key: size}).score(book.entry_of(key, free, hypothesis.shapes[0]))
 
 
 def own_doubt(last: Standing, score: Score, hypothesis: Hypothesis) -> float:
@@ -50,8 +44,7 @@ def own_doubt(last: Standing, score: Score, hypothesis: Hypothesis) -> float:
         hypothesis: which.
     """
     bare = ledger(last.uncorrected, Lens(last.noises, plain=True), last.fitted.prior, ())
-    there, here = (_own(book, last.fitted, hypothesis) for book in (bare, last.plain))
-    return score.doubt_of(*(beside.projected([entry])[0][0].sum(axis=0) for beside, entry in (there, here)))
+    return score.doubt_of(own_score(last.plain.noisier(bare), last.fitted, hypothesis))
 
 
 def held_score(book: Ledger, plain: Ledger, fitted: Fitted, hypothesis: Hypothesis) -> Score | None:

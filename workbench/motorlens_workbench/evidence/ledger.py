@@ -10,7 +10,7 @@ The correction for leverage of a block is that of MacKinnon and White (1985), do
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -74,6 +74,14 @@ class Ledger:
         """(p,) weight of each prior, that of Student's t at where the parameter is: a file may simply be wrong."""
         taken = np.array([key in self.trusted for key in self.keys], dtype=np.bool_)
         return np.where(taken, 1.0, np.minimum((FREEDOM + 1) / (FREEDOM + self.pull**2), 1.0))
+
+    def noisier(self, uncorrected: "Ledger") -> "Ledger":
+        """As it would be, but for its shapes, with inputs as much noisier than they were corrected for as is not known.
+
+        Sums of products grow with the variance of the noise that is left: from those along corrected inputs, which have
+        none, to those along the inputs as measured, which have all of it.
+        """
+        return replace(self, base=self.base + CRITERIA.doubt * (uncorrected.base - self.base), entries=())
 
     def entry_of(self, key: str, hypothesis: Hypothesis, shape: Shape) -> Entry:
         """A fitted parameter as a shape of its own."""

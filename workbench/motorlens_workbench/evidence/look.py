@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.prior import Prior
+from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers
 from motorlens_workbench.evidence.score import Entry, Score
 from motorlens_workbench.hypotheses.bumps import in_bumps
@@ -61,7 +62,7 @@ class Look:
         """Scores, each with the doubt that the correction for noise of the inputs leaves.
 
         Noise of the inputs makes columns and errors alike. Along corrected inputs that is taken out, as far as the sizes of
-        the noises are right: what the correction moved a score by is uncertain by as much as they are.
+        the noises are right: if they are larger, some is left, and leads to another size (`Ledger.noisier`).
 
         Args:
             scores: of this look.
@@ -69,11 +70,14 @@ class Look:
             prior: of the fitted parameters.
         """
         book, entries = self.entries(scores, uncorrected, self.lens, prior)
-        beside, doubted = book.beside(), []
-        for score, entry in zip(scores, entries, strict=True):
-            there, here = beside.projected([entry])[0][0], self.beside.projected([score.entry])[0][0]
-            doubted.append(score.doubted(score.doubt_of(there.sum(axis=0), here.sum(axis=0))))
-        return doubted
+        beside = self.book.noisier(book).beside()
+        noisier = [
+            score.entry.towards(entry, CRITERIA.doubt) for score, entry in zip(scores, entries, strict=True)
+        ]
+        return [
+            score.doubted(score.doubt_of(beside.score(entry)))
+            for score, entry in zip(scores, noisier, strict=True)
+        ]
 
     def entries(
         self,

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, gammaln
 
-from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis, Shape
 
 Array = NDArray[np.float64]
@@ -31,6 +30,14 @@ class Entry:
     shape: Shape
     cross: Array
     inner: Array
+
+    def towards(self, other: "Entry", share: float) -> "Entry":
+        """With sums that go a share of the way to those of the same shape along other inputs."""
+        return replace(
+            self,
+            cross=self.cross + share * (other.cross - self.cross),
+            inner=self.inner + share * (other.inner - self.inner),
+        )
 
 
 @dataclass(frozen=True)
@@ -63,15 +70,14 @@ class Score:
     inverse: Array
     doubt: float = 0.0
 
-    def doubt_of(self, uncorrected: Array, corrected: Array) -> float:
-        """What the correction for noise of the inputs leaves in doubt, in units of the scatter.
+    def doubt_of(self, other: "Score | None") -> float:
+        """How far from this size another is, in units of the scatter.
 
         Args:
-            uncorrected: (k,) sum of its blocks' scores along the inputs as measured.
-            corrected: (k,) the same along the corrected ones.
+            other: of the same shape, if more noise of the inputs is left; None: there it would not be told, and may be 0.
         """
-        moved = uncorrected - corrected
-        return CRITERIA.doubt**2 * float(moved @ self.inverse @ moved) / self.width
+        moved = self.coefficient if other is None else other.coefficient - self.coefficient
+        return float(moved @ self.information @ moved) / self.width
 
     def doubted(self, doubt: float) -> "Score":
         """With more scatter: what makes the score besides noise and what is missing."""
