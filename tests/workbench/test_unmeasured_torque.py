@@ -12,6 +12,7 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_workbench.diagnose import diagnose
+from motorlens_workbench.evidence.unmeasured_torque import UnmeasuredTorque
 from motorlens_workbench.report.json import sentence, to_json
 from motorlens_workbench.verdict import settle
 
@@ -49,6 +50,13 @@ def test_a_load_in_steps_that_nobody_measured(seed: int) -> None:
     assert np.std(told) == pytest.approx(np.std(true), rel=0.2)
     # It is good to what it says, but for the flanks, which are no such noise, and for what a constant may be.
     assert 0.2 < np.std(told - true) / shown["sd"][0] < 2.0
+
+
+@pytest.mark.parametrize(("sd_Nm", "about"), [(3e-4, " about a mean of -0.0015 N*m"), (1e-3, "")])
+def test_that_it_hardly_changes_does_not_hide_how_large_it_is(sd_Nm: float, about: str) -> None:
+    """The offset of a load's sensor in a blind case; from the least to the most it was less than half of its mean."""
+    torque = UnmeasuredTorque("slow.csv", np.arange(3.0), np.array([-0.0018, -0.0015, -0.0012]), sd_Nm, 50.0)
+    assert torque.size == f"0.0006 N*m from the least to the most{about} in slow.csv"
 
 
 @pytest.mark.fit

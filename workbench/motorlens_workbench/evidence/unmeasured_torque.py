@@ -14,6 +14,7 @@ from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.estimate.innovations import disturbances, read
 from motorlens_physics.estimate.noise import TORQUE, Noise
 from motorlens_physics.estimate.signals import decaying
+from motorlens_workbench.criteria import INTERVAL
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.standing import Standing, likeliest_without, noise_of, unlikely_samples
 
@@ -46,10 +47,10 @@ class UnmeasuredTorque:
 
     @property
     def size(self) -> str:
-        """How large it is, for the reader."""
-        return (
-            f"{float(np.ptp(self.torque_Nm)):.2g} {self.unit} from the least to the most in {self.recording}"
-        )
+        """How large it is, for the reader; with its mean, if that is told."""
+        mean = float(np.mean(self.torque_Nm))
+        about = f" about a mean of {mean:.2g} {self.unit}" if abs(mean) > INTERVAL * self.sd_Nm else ""
+        return f"{float(np.ptp(self.torque_Nm)):.2g} {self.unit} from the least to the most{about} in {self.recording}"
 
 
 def unmeasured_torque(here: Standing) -> UnmeasuredTorque:
