@@ -25,3 +25,21 @@ def test_names_that_explain_less_than_what_remains_are_no_more_than_a_part(
     found = SimpleNamespace(outcome=SimpleNamespace(first=ends[0], last=ends[1]))
     name = SimpleNamespace(gain=50.0, scatter=2.0)
     assert _no_more_than_a_part(found, [name]) is part  # type: ignore[arg-type,list-item]
+
+
+@pytest.mark.parametrize(("colour", "kind"), [(13_380.0, "unknown"), (50.0, "not_testable")])
+def test_what_was_explained_by_a_name_that_does_not_hold_is_missing(
+    monkeypatch: pytest.MonkeyPatch, colour: float, kind: str
+) -> None:
+    """A ripple that left nothing correlated, but whose size was in doubt: the answer was that nothing is missing."""
+    rest = SimpleNamespace(entry=SimpleNamespace(hypothesis=SimpleNamespace(equation="coupling")))
+    first, last = (
+        SimpleNamespace(book=SimpleNamespace(colour=left), times_noise=times, rest=rest, scores=())
+        for left, times in ((colour, 1.8), (0.7, 1.1))
+    )
+    outcome = SimpleNamespace(first=first, last=last, accepted=(SimpleNamespace(),), unnamed=None)
+    found = SimpleNamespace(outcome=outcome, dead=(), runs=[SimpleNamespace(moves=True)])
+    assert verdict._kind(found, [])[0] == kind  # type: ignore[arg-type]
+    # Where none has entered, it is a likelier fit of the same model that is told.
+    outcome.accepted = ()
+    assert verdict._kind(found, [])[0] == "not_testable"  # type: ignore[arg-type]
