@@ -103,6 +103,7 @@ def test_names_that_hold_by_themselves_are_told_in_front_of_that() -> None:
         contradicted=("b", "k_ir"),
         instead=("iron_loss_torque",),
         impossible=False,
+        beside="",
         untold=(),
     )
     assert sentence(found, verdict) == (  # type: ignore[arg-type]

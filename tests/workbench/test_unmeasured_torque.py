@@ -74,7 +74,8 @@ def test_a_small_one_is_said_beside_an_answer_that_nothing_is_missing(loaded: bo
         "speed": states[:, 1] + 2.0 * rng.standard_normal(SAMPLES),
     }
     file = MotorFile("plate", replace(Motor(), **TYPICAL), PLATE)
-    verdict = settle(diagnose(file, [Recording("loaded.csv", PERIOD_S * np.arange(SAMPLES), seen)]))
+    found = diagnose(file, [Recording("loaded.csv", PERIOD_S * np.arange(SAMPLES), seen)])
+    verdict = settle(found)
     assert (verdict.kind, verdict.torque) == ("adequate", None)
-    told = [text for text in verdict.untold if "torque that nobody measured acts" in text]
-    assert len(told) == loaded
+    assert ("A torque that nobody measured acts on the shaft, " in verdict.beside) == loaded
+    assert (verdict.beside in sentence(found, verdict)) and bool(verdict.beside) == loaded

@@ -45,6 +45,7 @@ class Verdict:
         impossible: whether a parameter of the textbook ends at the edge of what is possible: of a motor that cannot be, no
             name is told, and no shape or torque.
         instead: of the chosen ones, those for which nothing speaks but that.
+        beside: what acts on the shaft though no more than that shows, a sentence; "" if nothing does.
         untold: what the recordings cannot tell, sentences.
     """
 
@@ -58,6 +59,7 @@ class Verdict:
     contradicted: tuple[str, ...]
     instead: tuple[str, ...]
     impossible: bool
+    beside: str
     untold: tuple[str, ...]
 
 
@@ -96,14 +98,16 @@ def settle(found: Finding) -> Verdict:
     if torque is not None:
         shape, equation = None, "mechanical"
     # It is nothing that a motor lacks, but it is said.
-    beside = [_beside(seen)] if kind == "adequate" and seen is not None and seen.won > CRITERIA.white else []
+    beside = (
+        _beside(found, seen) if kind == "adequate" and seen is not None and seen.won > CRITERIA.white else ""
+    )
     contradicted: tuple[str, ...] = ()
     if kind != "unknown" and not dead:
         contradicted = tuple(dict.fromkeys(key for one in outcome.accepted for key in one.made_up_for))
     if kind == "adequate" and not contradicted:
         contradicted = tuple(judged.far)
     if edges and not dead:
-        contradicted, shape, torque, beside = edges, None, None, []
+        contradicted, shape, torque, beside = edges, None, None, ""
     if contradicted:
         # What is missing may be just what a parameter makes up for: then nothing shows but where that has gone.
         kind, equation = "unknown", _equation_of(found, contradicted[0])
@@ -118,11 +122,17 @@ def settle(found: Finding) -> Verdict:
         contradicted,
         tuple(one.hypothesis.name for one in instead),
         bool(edges),
-        (*beside, *limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
+        beside,
+        tuple(limits(found, [one for one, _ in held], {*chosen, *sum(groups, ())})),
     )
 
 
-def _beside(torque: UnmeasuredTorque) -> str:
+def _beside(found: Finding, torque: UnmeasuredTorque) -> str:
+    if any("load_torque" in run.known for run in found.runs):
+        return (
+            f"A torque acts on the shaft beside the load that was measured, {torque.size}: as a load does that its sensor "
+            "misses, or friction that changes."
+        )
     return f"A torque that nobody measured acts on the shaft, {torque.size}: as a load does."
 
 

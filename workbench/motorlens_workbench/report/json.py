@@ -198,7 +198,8 @@ def sentence(found: Finding, verdict: Verdict) -> str:
     if verdict.kind == "group":
         return f"Missing: {'; and '.join(offered)}. These recordings cannot tell more."
     if verdict.contradicted:
-        return _or_the_file(verdict, dict(zip(verdict.chosen, offered, strict=True)))
+        either = _or_the_file(verdict, dict(zip(verdict.chosen, offered, strict=True)))
+        return f"{either} {verdict.beside}" if verdict.beside else either
     if verdict.kind == "unknown":
         rest = _shape(verdict)
         if offered:
@@ -209,7 +210,8 @@ def sentence(found: Finding, verdict: Verdict) -> str:
         return f"Something is missing in the {verdict.equation} equation that no effect explains; {rest}."
     if verdict.kind == "not_testable":
         return "These recordings cannot show whether anything is missing; why is among what they cannot tell."
-    return "Nothing is missing above the sizes listed: larger effects would have been seen."
+    nothing = "Nothing is missing above the sizes listed: larger effects would have been seen."
+    return f"{nothing} {verdict.beside}" if verdict.beside else nothing
 
 
 def _or_the_file(verdict: Verdict, offered: Mapping[str, str]) -> str:
