@@ -468,6 +468,13 @@ def test_matlab_files_are_read_by_channel(tmp_path):
     (tmp_path / "no.mat").write_bytes(b"MATLAB 7.3 MAT-file nothing")
     with pytest.raises(DataError, match=r"no\.mat"):
         read_recording(tmp_path / "no.mat")
+    with pytest.raises(DataError, match=r"gone\.mat: No such file"):
+        read_recording(tmp_path / "gone.mat")
+    # A row for each channel, as Simulink's "To File" writes them.
+    given = {"time": "log_1", "voltage": "log_2 [V]", "current": "log_3 [A]"}
+    for log in (np.array([TIME, VOLTAGE, CURRENT]), np.array([TIME, VOLTAGE, CURRENT]).T):
+        io.savemat(tmp_path / "log.mat", {"log": log})
+        np.testing.assert_allclose(read_recording(tmp_path / "log.mat", given).channels["current"], CURRENT)
 
 
 @pytest.mark.fit

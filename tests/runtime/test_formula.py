@@ -83,6 +83,13 @@ def test_by_hand(quantity, formula, expected):
         ),
         ("voltage", "vbat_V*vbat_V", "voltage is in V"),
         ("speed", "f_Hz/5", "comes out in cycle/s"),
+        # A unit belongs to what stands before it: a number of turns by this would be 39 times as few.
+        (
+            "angle",
+            "raw/512 [rev]",
+            "comes out in 1/rad, angle is in rad; give a column or a constant its unit, as in encoder[",
+        ),
+        ("terminal", "raw*0+3", "terminal has no unit, and no formula; name a column that holds it"),
         ("speed", "wheel_velocity_m_s/0.03", "comes out in m/s"),
         ("voltage", "vbat_V+1", "cannot be added; give a constant its unit, as in 0.5[V]"),
         ("voltage", "vbat_V*", "it ends too early"),

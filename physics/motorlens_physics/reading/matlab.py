@@ -21,6 +21,8 @@ def read(path: Path) -> Table:
         content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path}: a MATLAB file of version 7.3; save it with save(..., '-v7')") from None
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}") from None
     except Exception as error:  # scipy raises what its parser meets
         raise DataError(f"{path}: not a MATLAB file ({error})") from None
     vectors = dict(
@@ -53,5 +55,6 @@ def _vectors(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Arr
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 1:
             yield prefix + name, value.astype(np.float64)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 2:
-            for k, column in enumerate(value.T):
+            # There are more samples than channels; Simulink's "To File" writes a row for each channel.
+            for k, column in enumerate(value.T if value.shape[0] >= value.shape[1] else value):
                 yield f"{prefix}{name}_{k + 1}", column.astype(np.float64)

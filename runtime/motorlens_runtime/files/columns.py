@@ -283,22 +283,26 @@ def _tie(quantity: str, heading: str, unit: Unit) -> str:
 
 
 def _computed(text: str, headings: Sequence[str], quantity: str, unit: str | None, where: str) -> Column:
-    """A formula over columns, whose result has the quantity's dimension; a radian is a number, as in SI."""
+    """A formula over columns, whose result has the quantity's dimension; a radian is a number, but no angle is 1/rad."""
     canonical = QUANTITIES[quantity][0]
+    target = in_heading(canonical)
+    if target is None:
+        raise DataError(
+            f"{where}: --column {quantity}={text}: {quantity} has no unit, and no formula; name a column that holds it"
+        )
     formula = parse_formula(text, headings, unit_in, where)
     first = next(iter(formula.uses), 0)
-    target = in_heading(canonical)
-    assert target is not None
     radian = BASES.index("rad")
     without = [d[:radian] + d[radian + 1 :] for d in (formula.dimension, target.dimension)]
     if formula.plain:
         column = _column(first, text, quantity, unit or "", where)
-    elif without[0] == without[1]:
+    elif without[0] == without[1] and formula.dimension[radian] * target.dimension[radian] >= 0:
         column = Column(first, text, quantity, 1.0, 0.0)
     else:
+        example = "encoder[counts]/512[counts/rev]" if quantity == "angle" else "supply[V] or 0.033[m]"
         raise DataError(
             f"{where}: --column {quantity}={text}: comes out in {name_of(formula.dimension)}, {quantity} is in "
-            f"{_written(canonical)}; give a column or a constant its unit, as in supply[V] or 0.033[m]"
+            f"{_written(canonical)}; give a column or a constant its unit, as in {example}"
         )
     return replace(column, formula=formula)
 
