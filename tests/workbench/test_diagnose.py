@@ -298,4 +298,5 @@ def test_a_name_that_explains_less_than_what_remains_is_no_more_than_a_part(tmp_
     verdict = settle(found)
     assert (verdict.kind, verdict.equation) == ("unknown", "mechanical")
     assert bool(verdict.chosen) == part
+    assert (verdict.shape is None, verdict.torque is None) == (part, not part)
     assert ("something is left that no effect" in sentence(found, verdict)) == part

@@ -39,7 +39,10 @@ def test_what_was_explained_by_a_name_that_does_not_hold_is_missing(
     )
     outcome = SimpleNamespace(first=first, last=last, accepted=(SimpleNamespace(),), unnamed=None)
     found = SimpleNamespace(outcome=outcome, dead=(), runs=[SimpleNamespace(moves=True)])
-    assert verdict._kind(found, [])[0] == kind  # type: ignore[arg-type]
-    # Where none has entered, it is a likelier fit of the same model that is told.
+    assert verdict._kind(found, [], verdict._told(found, []))[0] == kind  # type: ignore[arg-type]
+    # A name that holds because of the motor file alone has explained what it did; and where none has entered, it is a
+    # likelier fit of the same model that is told.
+    held = verdict._told(found, outcome.accepted)  # type: ignore[arg-type]
     outcome.accepted = ()
-    assert verdict._kind(found, [])[0] == "not_testable"  # type: ignore[arg-type]
+    for told in (held, verdict._told(found, [])):  # type: ignore[arg-type]
+        assert verdict._kind(found, [], told)[0] == "not_testable"  # type: ignore[arg-type]

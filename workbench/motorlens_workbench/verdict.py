@@ -78,7 +78,8 @@ def settle(found: Finding) -> Verdict:
     by_themselves = [
         (one, group) for (one, _), group in zip(held, groups, strict=True) if not one.made_up_for
     ]
-    kind, equation = _kind(found, by_themselves)
+    told = _told(found, [one for one, _ in held])
+    kind, equation = _kind(found, by_themselves, told)
     probability = dict.fromkeys(_names(found), 0.0)
     for one, rivals in held:
         # Or the motor file is wrong.
@@ -90,11 +91,10 @@ def settle(found: Finding) -> Verdict:
     probability |= dict.fromkeys(dead, 1.0)
     chosen = (*dead, *(one.hypothesis.name for one, _ in held if one.hypothesis.name not in dead))
     groups = [*((name,) for name in dead), *(group for group in groups if group[0] not in dead)]
-    last = outcome.last
-    shape = (outcome.unnamed or _told(found, [one for one, _ in held]).rest) if kind == "unknown" else None
-    seen = unmeasured_torque(last) if kind in ("adequate", "unknown") and outcome.unnamed is None else None
+    shape = (outcome.unnamed or told.rest) if kind == "unknown" else None
+    seen = unmeasured_torque(told) if kind in ("adequate", "unknown") and outcome.unnamed is None else None
     # Unless what is left is correlated beside such a torque too.
-    torque = seen if kind == "unknown" and seen is not None and seen.won > last.book.colour else None
+    torque = seen if kind == "unknown" and seen is not None and seen.won > told.book.colour else None
     if torque is not None:
         shape, equation = None, "mechanical"
     # It is nothing that a motor lacks, but it is said.
@@ -150,15 +150,22 @@ def _groups(rivals: Sequence[Rivals], names: Collection[str]) -> list[tuple[str,
     ]
 
 
-def _kind(found: Finding, held: Sequence[tuple[Accepted, tuple[str, ...]]]) -> tuple[str, str | None]:
-    """The kind of an answer and where something is missing, of the names that hold by themselves and their groups."""
+def _kind(
+    found: Finding, held: Sequence[tuple[Accepted, tuple[str, ...]]], told: Standing
+) -> tuple[str, str | None]:
+    """The kind of an answer and where something is missing.
+
+    Args:
+        found: by the contest.
+        held: the names that hold by themselves, and their groups.
+        told: see `_told`.
+    """
     unnamed, last = found.outcome.unnamed, found.outcome.last
     if found.dead:
         return "sensor_fault", found.dead[0].channel
     if unnamed is not None:
         return "unknown", unnamed.entry.hypothesis.equation
     if not held:
-        told = _told(found, ())
         if not any(run.moves for run in found.runs):
             return "not_testable", None
         if told.rest is not None and not leaves_noise(told):
@@ -355,18 +362,18 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
             + ", ".join(blind)
             + "."
         )
-    last = found.outcome.last
-    times = last.times_noise
+    told = _told(found, held)
+    times = told.times_noise
     why = "noise that lasts, a torque that nobody measured, or something"
     if times > CRITERIA.follows:
         said.append(
             f"The model is {times:.3g} times the noise off on what it was not fitted to: {why} that no hypothesis explains."
         )
-        shares = by_run(last.book, last.lines, last.floor)
+        shares = by_run(told.book, told.lines, told.floor)
         if len(shares) > 1 and shares.max() > 0.5:
             worst = found.runs[int(np.argmax(shares))].name
             said.append(f"Most of that, {shares.max():.0%} of the squares, is in {worst}.")
-    elif last.book.colour > CRITERIA.white:
+    elif told.book.colour > CRITERIA.white:
         said.append(
             f"What the model leaves is correlated as no noise of the sensors is: {why} that is not named here."
         )

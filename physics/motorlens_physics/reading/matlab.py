@@ -22,7 +22,7 @@ def read(path: Path) -> Table:
     except NotImplementedError:
         raise DataError(f"{path}: a MATLAB file of version 7.3; save it with save(..., '-v7')") from None
     except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from None
+        raise DataError(f"{path}: {error.strerror or f'not a MATLAB file ({error})'}") from None
     except Exception as error:  # scipy raises what its parser meets
         raise DataError(f"{path}: not a MATLAB file ({error})") from None
     vectors = dict(
