@@ -9,7 +9,7 @@ from scipy.stats import t as students_t
 
 from motorlens_physics.estimate.fit import Fit
 from motorlens_workbench.contest.contest import contest
-from motorlens_workbench.contest.entering import Step, unlikely_beside_file
+from motorlens_workbench.contest.entering import Step
 from motorlens_workbench.contest.far_from_file import enter_for_file, far_from_file
 from motorlens_workbench.contest.needed import beyond_chance
 from motorlens_workbench.diagnose import Finding
@@ -120,7 +120,7 @@ def test_errors_of_what_a_file_states_follow_students_t(iron: Standing) -> None:
 
     def unlikely(key: str, deviations: float) -> float:
         moved = there.with_values({key: prior.centre[key] + deviations * prior.sd[key]})
-        return unlikely_beside_file(SimpleNamespace(model=moved, prior=prior))  # type: ignore[arg-type]
+        return replace(iron.fitted, model=moved, prior=prior).unlikely_beforehand
 
     for deviations in (1.0, 13.0):
         falls = students_t.logpdf(0.0, 4) - students_t.logpdf(deviations, 4)

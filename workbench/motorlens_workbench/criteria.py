@@ -1,5 +1,6 @@
 """Every number that decides a diagnosis, with what it rests on and the command that shows it."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -62,3 +63,6 @@ class Criteria:
 CRITERIA = Criteria()
 # Standard deviations within which an interval of 95 % holds.
 INTERVAL = 1.96
+# Names less likely than the likeliest by no more than this, in a logarithm, may be what is missing as well; so may a fit be
+# where the motor is, and so may a torque that nobody measured be all that there is.
+NEARLY = -math.log(1 - CRITERIA.credible)

@@ -10,6 +10,7 @@ from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
+from motorlens_workbench.evidence.ledger import FREEDOM
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
@@ -38,6 +39,16 @@ class Fitted:
     def pulled(self) -> float:
         """Squares of what moved against the priors, a part of the cost."""
         return self.prior.penalty(self.model.values())
+
+    @property
+    def unlikely_beforehand(self) -> float:
+        """Twice the negative logarithm of how likely its parameters are beforehand, where a file may be wrong about a motor.
+
+        Of the motor's own that is Student's t; all else that is known counts in full. But for a constant.
+        """
+        penalties = self.prior.penalties(self.model.values())
+        motor = np.array([not {".", "@"} & set(key) for key in self.prior.keys], dtype=np.bool_)
+        return float(np.sum(np.where(motor, (FREEDOM + 1) * np.log1p(penalties / FREEDOM), penalties)))
 
     def multiple(self, hypothesis: Hypothesis) -> float:
         """How large a hypothesis in the model is, in multiples of its typical size."""

@@ -17,11 +17,12 @@ from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
+from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.evidence.held_out import pooled_floor, times_noise
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, layout, ledger, ledgers
 from motorlens_workbench.evidence.look import Look, looks
 from motorlens_workbench.evidence.null import Null, null_of
-from motorlens_workbench.evidence.score import Score
+from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Challenger, Fitted
 from motorlens_workbench.hypotheses.courses import parameters_of
 from motorlens_workbench.hypotheses.everything import everything
@@ -48,19 +49,33 @@ class Residual:
     Attributes:
         unlikely_samples: (N,) of each run, twice the negative logarithmic likelihood of each sample.
         blocks: of time, as of a ledger.
+        noises: of each run, the likeliest.
     """
 
     unlikely_samples: tuple[Array, ...]
     blocks: tuple[tuple[int, slice], ...]
+    noises: tuple[Noise, ...]
 
     @classmethod
-    def of(cls, lines: Sequence[Line], rests: Iterable[Array]) -> "Residual":
-        """Of what is left (N, C) of each run."""
-        each = zip(lines, rests, strict=True)
+    def of(
+        cls, lines: Sequence[Line], rests: Iterable[Array], no_more_than: Sequence[Noise] | None = None
+    ) -> "Residual":
+        """Of what is left (N, C) of each run.
+
+        Args:
+            lines: the runs.
+            rests: what is left of them.
+            no_more_than: how much of what is unexplained there may be, for each run; None: as much as there is.
+        """
+        begins = [noise_of(line) for line in lines]
+        if no_more_than is not None:
+            begins = [_pinned(noise, most) for noise, most in zip(begins, no_more_than, strict=True)]
+        each = [(line, begin, rest) for line, begin, rest in zip(lines, begins, rests, strict=True)]
+        noises = tuple(likeliest_noise(begin, line, rest) for line, begin, rest in each)
         samples = (
-            unlikely_samples(line, likeliest_noise(noise_of(line), line, rest), rest) for line, rest in each
+            unlikely_samples(line, noise, rest) for (line, _, rest), noise in zip(each, noises, strict=True)
         )
-        return cls(tuple(samples), layout(lines))
+        return cls(tuple(samples), layout(lines), noises)
 
     @property
     def unlikely(self) -> float:
@@ -224,8 +239,8 @@ def summed(fitted: Fitted, hypotheses: Sequence[Hypothesis] = ()) -> tuple[Ledge
     return coloured, white
 
 
-def residual_of(here: Standing, fitted: Fitted) -> Residual:
-    """What another model leaves.
+def residual_of(here: Standing, fitted: Fitted, no_more_than: Sequence[Noise] | None = None) -> Residual:
+    """What another model leaves, with no more of what is unexplained than some noise has, see `Residual.of`.
 
     The noise of the inputs goes through the motor that stands, not through the other: or a motor that responds less would
     have less of it, and be preferred.
@@ -233,7 +248,7 @@ def residual_of(here: Standing, fitted: Fitted) -> Residual:
     Raises:
         ModelError: the model cannot be simulated.
     """
-    return Residual.of(here.lines, _left_by(here, fitted))
+    return Residual.of(here.lines, _left_by(here, fitted), no_more_than)
 
 
 def unlikely_from(here: Standing, fitted: Fitted) -> float:
@@ -312,7 +327,7 @@ def _challenger(
         likeliest_noise(noise, line, rest)
         for line, noise, rest in zip(seen.lines, noises, rests, strict=True)
     ]
-    likely = [_no_more_than(noise, other) for noise, other in zip(noises, found, strict=True)]
+    likely = [no_more_than(noise, other) for noise, other in zip(noises, found, strict=True)]
     book, (entry,) = seen.entries([score], seen.lines, Lens(likely, rests), prior)
     again = book.beside().score(entry)
     if again is None or not again.possible:
@@ -320,18 +335,25 @@ def _challenger(
     own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis)).doubted(score.doubt)
     each = zip(seen.lines, found, rests, strict=True)
     won = unlikely - sum(float(np.sum(unlikely_samples(line, noise, rest))) for line, noise, rest in each)
-    if not own.entry.hypothesis.named:
+    if not own.entry.hypothesis.named and -log_chance(max(won, 0.0), own.width) < NEARLY:
         # Under a noise of its own a term may seem to win what it has lost by parting with a likelier noise. What a name wins
         # is told when it is fitted in full: far from null the linearised problem leaves more than the name does.
         own = own.winning(won)
     return Challenger(own, tuple(likely), book.colour, won)
 
 
-def _no_more_than(noise: Noise, other: Noise) -> Noise:
+def no_more_than(noise: Noise, other: Noise) -> Noise:
     """A noise with no more unmeasured torque, and coloured noise, than another."""
     disturbances = noise.disturbances.copy()
     disturbances[UNEXPLAINED] = np.minimum(disturbances[UNEXPLAINED], other.disturbances[UNEXPLAINED])
     return replace(noise, disturbances=disturbances)
+
+
+def _pinned(noise: Noise, other: Noise) -> Noise:
+    """A noise that never gets more of what is unexplained than another has."""
+    quiet, most = no_more_than(noise, other), noise.most.copy()
+    most[UNEXPLAINED] = np.minimum(most[UNEXPLAINED], other.disturbances[UNEXPLAINED])
+    return replace(quiet, most=most)
 
 
 def noise_of(line: Line) -> Noise:

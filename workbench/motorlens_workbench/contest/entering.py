@@ -22,8 +22,7 @@ from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, posterior, scatter_of
 from motorlens_workbench.contest.needed import follows, needed_weight
 from motorlens_workbench.contest.worth import consistent, worth
-from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import FREEDOM
+from motorlens_workbench.criteria import CRITERIA, NEARLY
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.hypotheses.sensors import SensorShape
@@ -35,10 +34,6 @@ from motorlens_workbench.telling import Progress
 REFITTED = 4
 # Names with which the motor is estimated to the end, of all that are tried.
 ESTIMATED = 6
-# Names less likely than the likeliest by no more than this, in a logarithm, may be what is missing as well; and so may a fit
-# be where the motor is.
-NEARLY = float(-np.log(1 - CRITERIA.credible))
-
 # The model in which a name was tried, and the same with it.
 Attempt = tuple[Fitted, Fitted]
 
@@ -340,17 +335,7 @@ def unlikely_as_known(here: Standing, fitted: Fitted) -> float:
     A motor file that is wrong by far must not prefer what is wrong by less and cannot be.
     """
     residual = _residual(here, fitted)
-    return residual.unlikely + unlikely_beside_file(fitted) if residual else float("inf")
-
-
-def unlikely_beside_file(fitted: Fitted) -> float:
-    """Twice the negative logarithm of how likely parameters are beforehand, where a file may be wrong about the motor's own.
-
-    Of those that is Student's t; all else that is known counts in full. But for a constant.
-    """
-    penalties = fitted.prior.penalties(fitted.model.values())
-    motor = np.array([not {".", "@"} & set(key) for key in fitted.prior.keys], dtype=np.bool_)
-    return float(np.sum(np.where(motor, (FREEDOM + 1) * np.log1p(penalties / FREEDOM), penalties)))
+    return residual.unlikely + fitted.unlikely_beforehand if residual else float("inf")
 
 
 def _residual(here: Standing, fitted: Fitted) -> Residual | None:

@@ -14,7 +14,7 @@ from motorlens_physics.estimate.report import findings
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor, log_occam_of
-from motorlens_workbench.contest.entering import REFITTED, Step, unlikely_beside_file
+from motorlens_workbench.contest.entering import REFITTED, Step
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.contest.worth import own_doubt, own_score
 from motorlens_workbench.criteria import INTERVAL
@@ -75,7 +75,7 @@ def _judged(
         seen = own_score(there.plain, end, hypothesis)
     except ModelError:
         return None
-    doubted = won + unlikely_beside_file(here.fitted) - unlikely_beside_file(end)
+    doubted = won + here.fitted.unlikely_beforehand - end.unlikely_beforehand
     than_file = 0.5 * doubted + log_occam_of(hypothesis, end)
     # What it wins with the file at its word.
     gain = won + here.fitted.pulled - end.pulled

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_workbench.contest.needed import needed_weight
+from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Fitted
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.refit import settled, without_hypothesis
-from motorlens_workbench.standing import Standing, residual_of, summed
+from motorlens_workbench.standing import Residual, Standing, no_more_than, residual_of, summed, under
 
 Array = NDArray[np.float64]
 
@@ -174,7 +175,8 @@ def worth(
     most = stood - unlikely
     allowed = end.allows(one.entry.hypothesis)
     if score is None or -log_chance(max(most, 0.0), 1) < needed:
-        return Worth(score and score.winning(most), needed, here.fitted, unlikely, allowed)
+        rise = _of_what_is_unexplained(here, one, end, with_it, most) if score and frame is None else most
+        return Worth(score and score.winning(rise), needed, here.fitted, unlikely, allowed)
     # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is not
     # the name's.
     refitted = without_hypothesis(end, one.name)
@@ -191,3 +193,28 @@ def worth(
     more = agreed > held.gain / held.scatter
     told = held.or_at_least(agreed)
     return Worth(told, needed, lacking, unlikely, allowed, stood - left, agreed if more else 0.0)
+
+
+def _of_what_is_unexplained(here: Standing, one: Score, end: Fitted, with_it: Residual, won: float) -> float:
+    """What a name wins over a model that has no more of what is unexplained than the name leaves.
+
+    A torque that nobody measured, and coloured noise, make up for a name as other names do, and where the name is likelier
+    than they are, that they nearly do is no reason to say that nothing is missing.
+
+    Args:
+        here: where the contest stands.
+        one: what a look says of the name.
+        end: the model with it.
+        with_it: what that leaves.
+        won: over the model that stands, as it is.
+    """
+    if won < 2 * NEARLY:
+        return won
+    quiet = [no_more_than(noise, other) for noise, other in zip(here.noises, with_it.noises, strict=True)]
+    lacking = [under(here, quiet)[0], without_hypothesis(end, one.name)]
+    left = [
+        residual_of(here, fitted, with_it.noises).unlikely + fitted.unlikely_beforehand
+        for fitted in lacking
+        if fitted is not None
+    ]
+    return max(won, min(left) - with_it.unlikely - end.unlikely_beforehand)
