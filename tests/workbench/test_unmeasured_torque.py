@@ -52,6 +52,30 @@ def test_a_load_in_steps_that_nobody_measured(seed: int) -> None:
     assert 0.2 < np.std(told - true) / shown["sd"][0] < 2.0
 
 
+@pytest.mark.fit
+@pytest.mark.parametrize("torque", ["constant", "ramp"])
+def test_an_offset_is_told_from_a_torque_that_comes_and_goes(torque: str) -> None:
+    """Both of 6 mN m, a thousandth of the rated torque: a torque that lasts makes up for all but a little of an offset."""
+    rng, share = np.random.default_rng(0), np.arange(SAMPLES) / SAMPLES
+    voltage = np.repeat(rng.uniform(-1.0, 1.0, SAMPLES // 100) * RATED["voltage"], 100)
+    load = np.repeat(rng.uniform(0.0, 0.6, SAMPLES // 200) * RATED["load_torque"], 200) * np.sign(voltage)
+    beside = 6e-3 * (np.ones(SAMPLES) if torque == "constant" else np.sqrt(3) * (2 * share - 1))
+    test = plain_motor.Test(PERIOD_S, SAMPLES, 100, True, 0.0)
+    states = plain_motor.simulated(TYPICAL, voltage, load + beside, test)
+    seen = {
+        "voltage": voltage + 0.1 * rng.standard_normal(SAMPLES),
+        "current": states[:, 0] + 0.02 * rng.standard_normal(SAMPLES),
+        "speed": states[:, 1] + 0.3 * rng.standard_normal(SAMPLES),
+        "load_torque": load + 0.01 * rng.standard_normal(SAMPLES),
+    }
+    file = MotorFile("plate", replace(Motor(), **TYPICAL), PLATE)
+    verdict = settle(diagnose(file, [Recording("offset.csv", PERIOD_S * np.arange(SAMPLES), seen)]))
+    if torque == "constant":
+        assert [set(group) for group in verdict.groups] == [{"load_torque_sensor_offset", "constant_torque"}]
+    else:
+        assert verdict.kind == "adequate"
+
+
 @pytest.mark.parametrize(("sd_Nm", "about"), [(3e-4, " about a mean of -0.0015 N*m"), (1e-3, "")])
 def test_that_it_hardly_changes_does_not_hide_how_large_it_is(sd_Nm: float, about: str) -> None:
     """The offset of a load's sensor in a blind case; from the least to the most it was less than half of its mean."""

@@ -17,12 +17,11 @@ from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.evidence.held_out import pooled_floor, times_noise
 from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, layout, ledger, ledgers
 from motorlens_workbench.evidence.look import Look, looks
 from motorlens_workbench.evidence.null import Null, null_of
-from motorlens_workbench.evidence.score import Score, log_chance
+from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.fitted import Challenger, Fitted
 from motorlens_workbench.hypotheses.courses import parameters_of
 from motorlens_workbench.hypotheses.everything import everything
@@ -335,7 +334,7 @@ def _challenger(
     own = replace(again, entry=replace(entry, hypothesis=score.entry.hypothesis)).doubted(score.doubt)
     each = zip(seen.lines, found, rests, strict=True)
     won = unlikely - sum(float(np.sum(unlikely_samples(line, noise, rest))) for line, noise, rest in each)
-    if not own.entry.hypothesis.named and -log_chance(max(won, 0.0), own.width) < NEARLY:
+    if not own.entry.hypothesis.named:
         # Under a noise of its own a term may seem to win what it has lost by parting with a likelier noise. What a name wins
         # is told when it is fitted in full: far from null the linearised problem leaves more than the name does.
         own = own.winning(won)
