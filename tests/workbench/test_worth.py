@@ -3,11 +3,13 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers.textbook import textbook_on, with_name
 
 from motorlens_workbench.contest.contest import too_large
 from motorlens_workbench.contest.worth import agreement, held_score, worth
+from motorlens_workbench.refit import _making_up_for, without_hypothesis
 from motorlens_workbench.standing import Standing, residual_of, stand, summed, unlikely_from
 
 MAGNET = {
@@ -72,3 +74,19 @@ def test_what_is_not_missing_is_agreed_on_by_no_test(bare: Standing, name: str) 
     rise = here.unlikely - left.unlikely
     # A chi-squared variable of one degree of freedom exceeds 10.8 once in a thousand.
     assert agreement(left.likelier_by_block(here.residual), magnet, score.entry.hypothesis, rise) < 10.8
+
+
+@pytest.mark.fit
+def test_where_a_name_is_taken_out_the_others_go_is_foretold(bare: Standing) -> None:
+    """Against a fit of the model without it, from where the model with it has ended."""
+    name = "magnet_temperature"
+    _, end = with_name(bare, name)
+    without = without_hypothesis(end, name)
+    assert without is not None
+    began, goes = end.model.values(), _making_up_for(end, name)
+    far, foretold = np.array(
+        [(without.model.values()[key] - began[key], goes[key]) for key in without.prior.keys]
+    ).T
+    # As the model without it weighs them, in squares of standard deviations.
+    away, left = (float(step @ np.linalg.inv(without.covariance) @ step) for step in (far, far - foretold))
+    assert 400 < away and left < 0.25 * away

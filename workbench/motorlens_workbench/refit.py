@@ -1,6 +1,6 @@
 """The whole model fitted again with a hypothesis in it, or without one: does what the linearised problem promised hold?"""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +28,8 @@ ROUNDS, ENOUGH = 10, 0.3
 KEPT = 0.5
 # A linear start is not quite at null, where shapes would be undetermined.
 LEAST = 1e-3
+# The variance of a parameter that is known for certain.
+TINY = 1e-300
 
 
 def refit(model: Model, prior: Prior, runs: Sequence[Run]) -> Fitted | None:
@@ -193,10 +195,33 @@ def _starts(fitted: Fitted, beside: Beside, score: Score) -> list[tuple[Weighed,
 
 
 def without_hypothesis(fitted: Fitted, name: str) -> Fitted | None:
-    """The model fitted again without an effect or a sensor's fault; None if it cannot be simulated."""
+    """The model fitted again without an effect or a sensor's fault; None if it cannot be simulated.
+
+    It starts from where the others would go, as linearised, if the size of that went to nought, or from where they are.
+    """
     model = without_part(fitted.model, name)
     values = model.values()
-    return refit(model, fitted.prior.only([key for key in fitted.prior.keys if key in values]), fitted.runs)
+    prior = fitted.prior.only([key for key in fitted.prior.keys if key in values])
+    goes, starts = _making_up_for(fitted, name), []
+    for moved in ({key: values[key] + goes[key] for key in prior.keys}, {}):
+        try:
+            point = _point(model.with_values(_within(prior, values, moved)), prior, fitted.runs)
+        except ModelError:
+            continue
+        starts.append((point.cost + prior.penalty(point.model.values()), point))
+    if not starts:
+        return None
+    return _refit(min(starts, key=lambda start: start[0])[1], prior, fitted.runs)
+
+
+def _making_up_for(fitted: Fitted, name: str) -> dict[str, float]:
+    """How far each other parameter goes, as linearised, if the size of an effect or a sensor's fault goes to nought."""
+    keys, values = fitted.prior.keys, fitted.model.values()
+    own = {key: fitted.model.file.meaning(key).null for key in keys if key.startswith(f"{name}.")}
+    size, null = next((key, null) for key, null in own.items() if null is not None)
+    at = keys.index(size)
+    steps = fitted.covariance[at] / max(fitted.covariance[at, at], TINY) * (null - values[size])
+    return {key: step for key, step in zip(keys, steps.tolist(), strict=True) if key not in own}
 
 
 def _typical(score: Score) -> Array:
@@ -243,10 +268,19 @@ def _moved(fitted: Fitted, beside: Beside, score: Score) -> dict[str, float]:
     """The fitted parameters moved along, as the linearised problem has them beside the hypothesis."""
     values, prior = fitted.model.values(), fitted.prior
     steps = beside.moves_with(score.entry, score.coefficient)
-    moved = {}
-    for key, step in zip(prior.keys, steps, strict=True):
-        low, high = prior.bounds[key]
-        if low >= 0 and values[key] > 0:
-            low = max(low, NEAREST * values[key])
-        moved[key] = float(np.clip(values[key] + step * beside.ledger.unit[key], low, high))
-    return moved
+    moved = {
+        key: values[key] + step * beside.ledger.unit[key] for key, step in zip(prior.keys, steps, strict=True)
+    }
+    return _within(prior, values, moved)
+
+
+def _within(prior: Prior, values: Mapping[str, float], moved: Mapping[str, float]) -> dict[str, float]:
+    """Moved parameters as far as they may go from their values."""
+    allowed = {}
+    for key in prior.keys:
+        if key in moved:
+            low, high = prior.bounds[key]
+            if low >= 0 and values[key] > 0:
+                low = max(low, NEAREST * values[key])
+            allowed[key] = float(np.clip(moved[key], low, high))
+    return allowed
