@@ -82,11 +82,15 @@ class Timing:
     def likeliest(self, point: Weighed, *, free: bool) -> Weighed:
         """The point with the likeliest timing; how inputs ran stays as it is unless it is `free`."""
         # Each way is judged one step away: from where another has led, how inputs ran is asked again.
+        on_time: Weighed | None = None
         for _ in range(REALIGNED):
-            other = self._later(self._as_they_ran(point) if free else point)
+            ran = self._as_they_ran(point) if free else point
+            if ran is on_time:
+                break
+            other = self._later(ran)
             if other is point:
                 break
-            point = other
+            point, on_time = other, other if other is ran else None
         return moved(point, self.prior, self.progress)
 
     def under_its_noise(self, point: Weighed, model: Model, runs: Sequence[Run], *, free: bool) -> Weighed:
