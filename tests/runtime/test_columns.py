@@ -52,6 +52,10 @@ def test_what_only_resembles_a_quantity_is_none(heading):
          {"time": 1e-3, "voltage": 1e-3, "current": 1, "speed": np.pi / 30, "temperature": 1, "ambient": 1,
           "angle": np.pi / 180}),
         ("sec v_m i_m omega_m theta_deg", {"time": 1, "voltage": 1, "current": 1, "speed": 1, "angle": np.pi / 180}),
+        ("timeMs motorVoltageV currentmA leftSpeedRpm motorSpeedRpm windingTempDegC torquemNm currentLimitA",
+         {"time": 1e-3, "voltage": 1, "current": 1e-3, "speed": np.pi / 30, "temperature": 1, "load_torque": 1e-3}),
+        ("TimeUs voltageV MotorCurrentMA measuredSpeedRadPerSec AngleDeg",
+         {"time": 1e-6, "voltage": 1, "current": 1e-3, "speed": 1, "angle": np.pi / 180}),
         ("time_s voltage_meas_V current_actual_A speed_ref_rpm speed_meas_rpm ambient_temp_C",
          {"time": 1, "voltage": 1, "current": 1, "speed": np.pi / 30, "ambient": 1}),
     ],
@@ -61,6 +65,11 @@ def test_where_and_how_it_was_measured_may_stand_beside_the_name(headings, expec
     assert {quantity: column.factor for quantity, column in found.items()} == pytest.approx(
         expected, rel=1e-15
     )
+
+
+def test_a_unit_behind_a_capital_is_proposed_for_its_quantity():
+    assert candidates("speed", ["time", "leftSpeedRpm", "leftCommand", "PhaseA"]) == ["leftSpeedRpm"]
+    assert candidates("current", ["time", "PhaseA", "loadCurrentmA"]) == ["loadCurrentmA"]
 
 
 def test_a_symbol_alone_is_proposed_and_not_taken():

@@ -2,8 +2,8 @@
 
 The canonical heading is `quantity_unit` (`speed_rad_s`). What test stands and spreadsheets write is understood beside it:
 `Motor Optical Speed (RPM)`, `v[V]`, `U/V`, `Spannung U in mV`, `Time, ms`, `motor_current_mA`, `MotorSpeed_rpm`, `Ia`,
-`TIME_MS`, `rpm`. Beside a word for the quantity may stand where and how it was measured; with any other word
-(`current_limit_A`, `field_voltage_V`) it is another quantity.
+`TIME_MS`, `motorSpeedRpm`, `currentmA`, `rpm`. Beside a word for the quantity may stand where and how it was measured;
+with any other word (`current_limit_A`, `field_voltage_V`) it is another quantity.
 """
 
 import re
@@ -55,6 +55,12 @@ _WHERE = {
 _BRACKETED = re.compile(r"(.+?)\s*/?\s*[(\[]\s*([^)\]]+?)\s*[)\]]")
 # What stands between a name and its unit where there are no brackets.
 _BETWEEN = re.compile(r"\s+in\s+|\s*[/,;]\s*|[\s.\-:_]+")
+# Where a name ends and its unit begins with nothing between: at a capital, or after a word for a quantity.
+_CAPITAL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_AFTER_WORD = re.compile(
+    "|".join(f"(?<={word})" for _, words in QUANTITIES.values() for word in words if len(word) > 3),
+    re.IGNORECASE,
+)
 _REVOLUTION = tuple({"rad": 1, "cycle": -1}.get(base, 0) for base in BASES)
 # Words that make another quantity of a name, as `sd` and `rise` do in what `infer` writes.
 _OTHER_WORDS = frozenset(("ref", "raw", "cmd", "set", "max", "min", "sd", "rise"))
@@ -93,10 +99,10 @@ def unit_text(heading: str) -> str | None:
     if in_heading(heading) is None:
         for between, suffix in _split(heading):
             # After a blank or a dash a letter is rather a number of its own: `Phase A`, `Motor-A`.
-            if in_heading(suffix) is not None and (
-                len(suffix) > 1 or between not in (" ", "-", ".", ":", "_")
-            ):
-                return suffix
+            if len(suffix) > 1 or between not in (" ", "-", ".", ":", "_", ""):
+                known = [text for text in _spellings(between, suffix) if in_heading(text) is not None]
+                if known:
+                    return known[0]
     return None
 
 
@@ -166,17 +172,18 @@ def _freely(heading: str) -> tuple[str, str] | None:
     """Name and unit without brackets, both known and of one quantity; or a name alone."""
     if _SPEAKING.fullmatch(heading):
         return _speaking(heading)
-    for _, unit_there in _split(heading):
-        name = heading[: len(heading) - len(unit_there)]
+    for between, after in _split(heading):
+        name = heading[: len(heading) - len(after)]
         name = re.sub(r"(\s+in\s+|[\s_/,;.\-:(]+)$", "", name)
-        for quantity, (unit, _words) in QUANTITIES.items():
-            suffix = _as_written(quantity, heading, unit_there)
-            if unit and _is_named(quantity, name) and conversion(unit, suffix) is not None:
-                return quantity, suffix
-        # `motor_rpm`
-        if _SPEAKING.fullmatch(unit_there) and (spoken := _speaking(unit_there)):
-            if all(piece in (*_WHERE[spoken[0]], *_HOW) for piece in _pieces(name)):
-                return spoken
+        for unit_there in _spellings(between, after):
+            for quantity, (unit, _words) in QUANTITIES.items():
+                suffix = _as_written(quantity, heading, unit_there)
+                if unit and _is_named(quantity, name) and conversion(unit, suffix) is not None:
+                    return quantity, suffix
+            # `motor_rpm`
+            if _SPEAKING.fullmatch(unit_there) and (spoken := _speaking(unit_there)):
+                if all(piece in (*_WHERE[spoken[0]], *_HOW) for piece in _pieces(name)):
+                    return spoken
     named = (
         quantity
         for quantity, (unit, _words) in QUANTITIES.items()
@@ -193,10 +200,22 @@ def _speaking(unit_there: str) -> tuple[str, str] | None:
 
 
 def _split(heading: str) -> Iterator[tuple[str, str]]:
-    """What may stand between name and unit, and the unit, for each place where a heading may be parted."""
+    """What may stand between name and unit, and the unit, for each place where a heading may be parted; "" is nothing."""
     for between in _BETWEEN.finditer(heading):
         if between.start() > 0 and between.end() < len(heading):
             yield between[0].strip() or " ", heading[between.end() :]
+    for mark in (_AFTER_WORD, _CAPITAL):
+        for between in mark.finditer(heading):
+            if between.end() < len(heading) and heading[between.end()].isalpha():
+                yield "", heading[between.end() :]
+
+
+def _spellings(between: str, unit_there: str) -> tuple[str, ...]:
+    """The units that may be meant: a capital that parts one from its name is mostly none of its own (`speedRpm`)."""
+    if between or len(unit_there) == 1:
+        return (unit_there,)
+    in_words = _CAPITAL.sub("_", unit_there).lower().replace("_per_", "/")
+    return (unit_there[0].lower() + unit_there[1:], in_words, unit_there)
 
 
 def _is_named(quantity: str, name: str, *, with_unit: bool = True) -> bool:
