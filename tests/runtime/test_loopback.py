@@ -280,6 +280,41 @@ def test_a_connection_that_is_answered_while_the_server_ends_is_hung_up_on(serve
     line.close()
 
 
+def test_a_connection_that_is_not_answered_any_more_is_hung_up_on(monkeypatch):
+    """Its request has come, and no thread has taken it up before the server ends."""
+    monkeypatch.setattr(connections, "MOST_SERVED", 1)
+    handed_over, hand_over, begun, end = (
+        [],
+        connections.Connections._hand_over,
+        threading.Event(),
+        threading.Event(),
+    )
+
+    def noted(self, connection):
+        hand_over(self, connection)
+        handed_over.append(connection)
+
+    def answer(request):
+        begun.set()
+        assert end.wait(LIMIT_S)
+        return Answer(b"there")
+
+    monkeypatch.setattr(connections.Connections, "_hand_over", noted)
+    server = LoopbackServer(answer)
+    lines = []
+    for _ in range(3):
+        line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=LIMIT_S)
+        line.request("GET", "/", headers=bearer(server))
+        lines.append(line)
+    eventually(lambda: len(handed_over) == 3, "that all requests have come")
+    assert begun.wait(LIMIT_S)
+    server.close()
+    end.set()
+    eventually(lambda: all(one.line.fileno() < 0 for one in handed_over), "the end of all connections")
+    for line in lines:
+        line.close()
+
+
 def test_a_connection_takes_several_requests_in_any_portions(server):
     head = (
         f"GET /{{}} HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nAuthorization: Bearer {server.token}\r\n\r\n"

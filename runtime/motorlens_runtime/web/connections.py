@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ BACKLOG = 128
 MOST_HEAD_OCTETS = 1 << 16
 # From the last answer, or from its opening, until a connection must have sent the head of a request.
 HEAD_S = 15.0
-# Until a body must have come, and until an answer must have been taken.
+# Until a body must have come, an answer must have been taken, and the thread that waits must have ended.
 BODY_S = 30.0
 _HEAD_END = b"\r\n\r\n"
 
@@ -127,7 +127,7 @@ class Connections:
         """Stop listening and hang up everywhere."""
         self._closed = True
         self._ring()
-        self._thread.join(5.0)
+        self._thread.join(BODY_S)
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _ring(self) -> None:
@@ -205,7 +205,12 @@ class Connections:
 
     def _hand_over(self, connection: Connection) -> None:
         self._served.add(connection)
-        self._pool.submit(self._answer, connection)
+
+        def never_answered(future: Future[None]) -> None:
+            if future.cancelled():
+                connection.close()
+
+        self._pool.submit(self._answer, connection).add_done_callback(never_answered)
 
     def _answer(self, connection: Connection) -> None:
         stays = False
