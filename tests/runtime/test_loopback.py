@@ -283,12 +283,8 @@ def test_a_connection_that_is_answered_while_the_server_ends_is_hung_up_on(serve
 def test_a_connection_that_is_not_answered_any_more_is_hung_up_on(monkeypatch):
     """Its request has come, and no thread has taken it up before the server ends."""
     monkeypatch.setattr(connections, "MOST_SERVED", 1)
-    handed_over, hand_over, begun, end = (
-        [],
-        connections.Connections._hand_over,
-        threading.Event(),
-        threading.Event(),
-    )
+    handed_over, hand_over = [], connections.Connections._hand_over
+    begun, end = threading.Event(), threading.Event()
 
     def noted(self, connection):
         hand_over(self, connection)

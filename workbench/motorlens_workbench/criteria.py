@@ -24,7 +24,8 @@ class Criteria:
     friction, whose interval holds nought) and the largest free term 1.13: two of 150 are `unknown`, none is named.
     Of those of `--count 45 --seed 29` a dead time has 1.17 and is told in a group, and a speed sensor is said to be clipped,
     which it is; of those of `--seed 30` the largest name has 0.62 and the largest free term 0.51.
-    Of those of `--count 40 --seed 31` the largest name has 0.37 and the largest free term 0.46; all are adequate.
+    Of those of `--count 40 --seed 31` the largest name has 0.37 and the largest free term 0.46, of those of `--seed 34` 0.12
+    and 0.62; all are adequate.
     Flips of signs alone would put `excess` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:

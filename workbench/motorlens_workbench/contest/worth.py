@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
@@ -211,10 +212,15 @@ def _of_what_is_unexplained(here: Standing, one: Score, end: Fitted, with_it: Re
     if won < 2 * NEARLY:
         return won
     quiet = [no_more_than(noise, other) for noise, other in zip(here.noises, with_it.noises, strict=True)]
-    lacking = [under(here, quiet)[0], without_hypothesis(end, one.name)]
-    left = [
-        residual_of(here, fitted, with_it.noises).unlikely + fitted.unlikely_beforehand
-        for fitted in lacking
-        if fitted is not None
-    ]
+    try:
+        lacking = [under(here, quiet)[0], without_hypothesis(end, one.name)]
+        left = [
+            residual_of(here, fitted, with_it.noises).unlikely + fitted.unlikely_beforehand
+            for fitted in lacking
+            if fitted is not None
+        ]
+    except (
+        ModelError
+    ):  # no such model can be simulated: then nothing is known of what the name would win over it
+        return won
     return max(won, min(left) - with_it.unlikely - end.unlikely_beforehand)
