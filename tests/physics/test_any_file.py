@@ -264,12 +264,15 @@ def test_no_steady_clock_is_seen_where_there_is_none():
     assert steady(np.round(lossy, 2)) is None
 
 
-def test_a_measured_angle_gives_the_speed_also_where_it_wraps(tmp_path):
-    angle = np.cumsum(SPEED) * 0.001
-    columns = (TIME, VOLTAGE, CURRENT, np.degrees(angle) % 360)
+def test_a_measured_angle_gives_the_mean_speed_since_the_sample_before_also_where_it_wraps(tmp_path):
+    """Of a shaft that turns at one speed from each sample to the next, at uneven steps of time."""
+    time = np.cumsum(np.random.default_rng(1).uniform(0.5e-3, 1.5e-3, N)).round(6)
+    angle = np.append(0.0, np.cumsum(SPEED[1:] * np.diff(time)))
+    columns = (time, VOLTAGE, CURRENT, np.degrees(angle) % 360)
     recording = read(tmp_path, text(columns, (*NAMES[:3], "angle_deg"), cell="{:.9g}".format))
     speed = recording.channels["speed"]
-    np.testing.assert_allclose(speed[1:-1], ((SPEED[1:] + np.r_[SPEED[2:], 0])[: N - 2]) / 2, atol=1e-3)
+    assert np.isnan(speed[0]) and recording.speed_from_angle
+    np.testing.assert_allclose(speed[1:], SPEED[1:], atol=1e-3)
     assert any("from the angle" in note for note in recording.notes)
 
 

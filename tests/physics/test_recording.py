@@ -145,6 +145,18 @@ def test_gaps_dead_and_clipped_channels_are_reported(tmp_path: Path) -> None:
     assert "speed never changes" in notes
 
 
+def test_a_speed_as_coarse_at_its_peak_as_elsewhere_is_not_clipped(tmp_path: Path) -> None:
+    """Counts of an encoder at four steady speeds; and the same with noise, cut off below its peaks."""
+    rng = np.random.default_rng(5)
+    steady = np.repeat([110.3, 40.2, 90.6, 20.4], 200)
+    counted = np.round(steady + 0.1 * rng.standard_normal(800))
+    clipped = np.minimum(steady + 3 * rng.standard_normal(800), 108.0)
+    for speed, said in ((counted, False), (clipped, True)):
+        rows = "".join(f"{0.01 * k:.2f},{0.1 * y:.3f},{y:.6f}\n" for k, y in enumerate(speed))
+        notes = read_recording(written(tmp_path, "time_s,voltage_V,speed_rad_s\n" + rows)).notes
+        assert any("clipped?" in note for note in notes) == said
+
+
 def test_a_voltage_is_needed_only_where_it_drives_the_terminals(tmp_path) -> None:
     def read(heading: str, row) -> Recording:
         lines = [heading, *(row(k) for k in range(60))]

@@ -100,7 +100,9 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run, Run]:
     """One run as it is likeliest with its channels as they are, with all moved, and with a mean."""
     part, inflation = point.parts[r], point.tempered().inflation
     quiet, ambient = _quiet(part.run, part.noise), part.run.inputs.hold[2]
-    shows = (False, True) if "speed" in part.run.channels else (False,)
+    # One that was computed from an angle is a mean, whatever else fits.
+    least = part.run.from_angle
+    shows = (False, True) if "speed" in part.run.channels and not least else (least,)
     ends = {
         (mean, held, moved): end
         for mean in shows
@@ -111,12 +113,12 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run, Run]:
     }
     if not np.isfinite([end.cost for end in ends.values()]).any():
         return part.run, part.run, part.run
-    held = min((False, True), key=lambda held: ends[False, held, 0].cost)
+    held = min((False, True), key=lambda held: ends[least, held, 0].cost)
     load = held
     # That inputs did not run alike is one thing more.
     if "load_torque" in part.run.known:
         alike, other = (
-            _ends(point, prior, r, quiet, (held, one, ambient), (0,), mean=False, straight=False)[0]
+            _ends(point, prior, r, quiet, (held, one, ambient), (0,), mean=least, straight=False)[0]
             for one in (held, not held)
         )
         load = not held if _won(alike, other, inflation) > needed(1) else held
@@ -125,14 +127,14 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run, Run]:
     def likeliest(shows_mean: bool) -> Run | None:
         """With its channels moved, or a mean; None if that is not likelier beyond chance."""
         ways = [way for way in ends if way[0] == shows_mean]
-        way = min(ways, key=lambda way: ends[way].cost, default=(False, held, 0))
+        way = min(ways, key=lambda way: ends[way].cost, default=(least, held, 0))
         # That all is late, or a speed a mean, is one thing more than how inputs ran.
         tried = len(ends) if shows_mean else len(ways)
-        if _won(ends[False, held, 0], ends[way], inflation) <= needed(tried):
+        if _won(ends[least, held, 0], ends[way], inflation) <= needed(tried):
             return None
         mean, holds, late = way
         # A mean is half a sample late, which brings any speed nearer that is late by more.
-        if mean and min(end.cost for end in alone()) < ends[way].cost:
+        if mean and not least and min(end.cost for end in alone()) < ends[way].cost:
             return None
         return _moved(part.run.holding((holds, holds, ambient)).showing(mean), late)
 
@@ -144,7 +146,7 @@ def _ways_of(point: Weighed, prior: Prior, r: int) -> tuple[Run, Run, Run]:
                 point, prior, r, quiet, hold, (-1, 1), mean=False, straight=True, alone="speed"
             ).values()
 
-    moved, counted = likeliest(False) or still, likeliest(True)
+    moved, counted = likeliest(least) or still, None if least else likeliest(True)
     if counted is not None and part.run.mean_speed:
         return counted, counted, counted
     return still, moved, counted or moved

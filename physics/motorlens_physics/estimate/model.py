@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.forcing import SETTLED
-from motorlens_physics.estimate.mean_speed import bend_of, mean_since_last
+from motorlens_physics.estimate.mean_speed import Mean, mean_of
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -217,13 +217,12 @@ def sensitivities_of(
         columns[:, c, at] = derivative[:, linear.states.index(STATE_OF[channel])]
         if channel == "speed" and run.mean_speed:
             speed, current = (derivative[:, linear.states.index(state)] for state in ("w", "i"))
-            columns[:, c, at] = _mean_speed(model, run, linear, speed, current)
+            mean = _mean_of(model, run, linear)
+            columns[:, c, at] = mean.since_last(speed, current)
             # The same change of the current bends the speed otherwise in another motor.
-            bend, slope = _bend(model, run, linear)
-            change = np.diff(trajectory.states["i"])
-            for key, share in (("L", slope), ("R_a0", -slope), ("J", -bend), ("ke", bend)):
-                if key in local:
-                    columns[1:, c, local.index(key)] += share * change / getattr(motor, key)
+            bent = mean.of_parameters(motor, trajectory.states["w"], trajectory.states["i"])
+            for key in bent.keys() & set(local):
+                columns[1:, c, local.index(key)] += bent[key]
     outside = [
         key for key in keys if _is_sensor(model, key) and _sensor(model, key).channel not in run.channels
     ]
@@ -331,14 +330,12 @@ def changed_outputs(model: Model, run: Run, linear: Linearisation, states: Mappi
 
 
 def _mean_speed(model: Model, run: Run, linear: Linearisation, speed: Array, current: Array) -> Array:
-    return mean_since_last(speed, current, _bend(model, run, linear)[0])
+    return _mean_of(model, run, linear).since_last(speed, current)
 
 
-def _bend(model: Model, run: Run, linear: Linearisation) -> tuple[Array, Array]:
-    """How a current bends the speed within a sample, see `mean_speed.bend_of`."""
-    spun = linear.matrices[:, linear.states.index("w"), linear.states.index("i")]
+def _mean_of(model: Model, run: Run, linear: Linearisation) -> Mean:
     motor = model.file.motor
-    return bend_of(run.inputs.time_s, spun, motor.L / motor.R_a0, held=run.inputs.hold[0])
+    return mean_of(run.inputs.time_s, linear, motor.L / motor.R_a0, held=run.inputs.hold[0])
 
 
 def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:

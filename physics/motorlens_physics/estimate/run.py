@@ -80,6 +80,7 @@ class Run:
         late: channel -> by how many samples it was recorded late, and was moved.
         unmoved: the run before its channels were moved; None if none was.
         mean_speed: whether the speed shows its mean since the sample before, as one that is counted from an encoder does.
+        from_angle: whether it was computed from the angle: then it certainly does.
     """
 
     name: str
@@ -109,6 +110,7 @@ class Run:
     noise: "Noise | None" = None
     unmoved: "Run | None" = None
     mean_speed: bool = False
+    from_angle: bool = False
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -160,7 +162,8 @@ class Run:
         return replace(self.unmoved or self, corrections=None, noise=None, mean_speed=self.mean_speed)
 
     def showing(self, mean_speed: bool) -> "Run":
-        """With a speed that is the mean since the sample before, or that at the sample."""
+        """With a speed that is the mean since the sample before, or that at the sample unless it is known to be a mean."""
+        mean_speed |= self.from_angle
         return self if self.mean_speed == mean_speed else replace(self, mean_speed=mean_speed)
 
     def corrected(self, errors: Array) -> "Run":
@@ -348,7 +351,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
     ambient = level_of(time, ambient, AMBIENT_S)
     inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
-    every = max(1, -(-rows // ROWS))
+    every, period_s = max(1, -(-rows // ROWS)), float(np.median(np.diff(time)))
     for k, y in enumerate(recording.channels[channel] for channel in used):
         there = np.isfinite(y)
         measured[:, k] = y if there.all() else np.interp(time, time[there], y[there])
@@ -372,7 +375,11 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
             hung[channel] = (first, last)
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
-        least_bits[k] = quantisation_step(y)
+        # Where steps of time vary, so do those of a speed that was counted.
+        counted = recording.speed_from_angle and channel == "speed"
+        least_bits[k] = (
+            quantisation_step(recording.channels["angle"]) / period_s if counted else quantisation_step(y)
+        )
         floor[k] = max(least_bits[k] / np.sqrt(12), 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
@@ -393,6 +400,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         angle, input_step=coarse_inputs,
         offset_below=exact, converter_errors=errors,
         shaft=angle, hung=hung, saturated=ends, repeats=repeats,
+        mean_speed=recording.speed_from_angle, from_angle=recording.speed_from_angle,
     )  # fmt: skip
 
 

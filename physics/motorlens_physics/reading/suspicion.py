@@ -25,6 +25,8 @@ _ROWS = 50_000
 _BACK = 0.05
 # A motor stands still without a current below this share of the largest speed and current.
 _STILL = 0.02
+# A channel that is clipped shows the same again at its extreme this many times as often as elsewhere.
+_OFTENER = 2
 # Steps within this share of a whole number of periods are those of a steady clock; of more periods than that, a gap.
 _WHOLE, _GAP = 0.1, 10
 # Time constants with which the speed of a motor follows its voltage, s: a coreless one of a few grams takes 1 ms or more,
@@ -127,11 +129,20 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
                 continue  # a step that is commanded
             notes.append(f"{quantity} never changes ({np.nanmin(y) + 0.0:g}): a dead channel?")
             continue
-        for limit in (np.nanmin(y), np.nanmax(y)):
-            at_limit = y == limit
-            runs = np.sum(at_limit[1:] & at_limit[:-1])
-            # A commanded voltage rests at its levels, and a motor rests at zero; a measured signal does not rest at a peak.
-            if quantity in ("current", "speed") and limit != 0 and runs > 0.02 * len(y):
+        ends = (np.nanmin(y), np.nanmax(y))
+        within = (y[:-1] != ends[0]) & (y[:-1] != ends[1]) & (y[:-1] != 0)
+        for limit in ends:
+            at_limit = y[:-1] == limit
+            again = np.diff(y) == 0
+            runs = np.sum(at_limit & again)
+            # A commanded voltage rests at its levels, and a motor rests at zero; a measured signal does not rest at a peak
+            # more than elsewhere, where it is as coarse.
+            if (
+                quantity in ("current", "speed")
+                and limit != 0
+                and runs > 0.02 * len(y)
+                and runs * np.sum(within) >= _OFTENER * np.sum(within & again) * np.sum(at_limit)
+            ):
                 notes.append(
                     f"{quantity} stays at its extreme value {limit:g} for {int(runs)} samples: clipped?"
                 )

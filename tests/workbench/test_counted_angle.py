@@ -1,0 +1,26 @@
+"""A log of a commanded voltage and of an encoder's counts, by other code, in which nothing is missing."""
+
+from pathlib import Path
+
+import pytest
+from helpers.counted_angle import STATED, logged
+
+from motorlens_physics.motor_file import voltage_commanded
+from motorlens_physics.recording import read_recording
+from motorlens_workbench.diagnose import diagnose
+from motorlens_workbench.verdict import settle
+
+
+# Steady steps as long as the rotor's time constant without a current, and uneven ones half as long with one.
+@pytest.mark.fit
+@pytest.mark.parametrize("number", [10, 14])
+def test_counts_alone_do_not_pass_for_a_lag(number: int, tmp_path: Path) -> None:
+    log = logged(4, number)
+    recording = read_recording(log.write(tmp_path / "log.csv"), log.columns)
+    found = diagnose(voltage_commanded(log.file), [recording])
+    assert settle(found).kind == "adequate"
+    run = found.base.runs[0]
+    assert run.mean_speed and not run.late
+    values, sd = found.base.fit.model.values(), found.base.fit.sd()
+    for key in STATED:
+        assert abs(values[key] - log.truth[key]) < 4 * sd[key], key
