@@ -175,25 +175,27 @@ def worth(
     stood = here.unlikely if frame is None else without.unlikely
     most = stood - unlikely
     allowed = end.allows(one.entry.hypothesis)
-    if score is None or -log_chance(max(most, 0.0), 1) < needed:
-        rise = _of_what_is_unexplained(here, one, end, with_it, most) if score and frame is None else most
-        return Worth(score and score.winning(rise), needed, here.fitted, unlikely, allowed)
-    # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is not
-    # the name's.
-    refitted = without_hypothesis(end, one.name)
-    lacking = here.fitted
-    if refitted is not None:
-        other = settled(refitted)
-        rest = residual_of(frame or here, other)
-        if rest.unlikely < without.unlikely:
-            lacking, without = other, rest
-    left = without.unlikely
-    rise = min(most, left - unlikely)
-    held = score.winning(rise)
-    agreed = agreement(with_it.likelier_by_block(without), lacking, one.entry.hypothesis, rise)
-    more = agreed > held.gain / held.scatter
-    told = held.or_at_least(agreed)
-    return Worth(told, needed, lacking, unlikely, allowed, stood - left, agreed if more else 0.0)
+    if score is None:
+        return Worth(None, needed, here.fitted, unlikely, allowed)
+    told, rise, lacking, kept, agreed = score.winning(most), most, here.fitted, 0.0, 0.0
+    if -log_chance(max(most, 0.0), 1) >= needed:
+        # The model that stands may have ended short of where it fits best: what is kept when the name is taken out again is
+        # not the name's.
+        refitted = without_hypothesis(end, one.name)
+        if refitted is not None:
+            other = settled(refitted)
+            rest = residual_of(frame or here, other)
+            if rest.unlikely < without.unlikely:
+                lacking, without = other, rest
+        kept = stood - without.unlikely
+        rise = min(most, most - kept)
+        held = score.winning(rise)
+        agreed = agreement(with_it.likelier_by_block(without), lacking, one.entry.hypothesis, rise)
+        told, agreed = held.or_at_least(agreed), agreed if agreed > held.gain / held.scatter else 0.0
+    if told.weight < needed and frame is None:
+        rise = _of_what_is_unexplained(here, one, end, with_it, rise)
+        told = max(told, score.winning(rise), key=lambda known: known.weight)
+    return Worth(told, needed, lacking, unlikely, allowed, kept, agreed)
 
 
 def _of_what_is_unexplained(here: Standing, one: Score, end: Fitted, with_it: Residual, won: float) -> float:
