@@ -28,9 +28,8 @@ FINE = 20
 DECAY_S = TYPICAL["L"] / TYPICAL["R_a0"]
 
 
-@pytest.mark.parametrize(
-    ("share", "held"), [(0.05, True), (0.5, True), (5.0, True), (20.0, True), (0.05, False), (0.5, False)]
-)
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("share", [0.05, 0.5, 5.0, 20.0])
 @pytest.mark.parametrize("inertia", [1.0, 0.1])
 def test_the_mean_over_a_sample_is_that_of_two_hundred_shorter_ones(
     share: float, inertia: float, held: bool
@@ -60,8 +59,8 @@ def test_the_mean_over_a_sample_is_that_of_two_hundred_shorter_ones(
     both = np.abs(0.5 * (speed[::fine][1:] + speed[::fine][:-1]) - np.diff(turned))
     size = np.abs(speed).max()
     assert off.max() < 1e-4 * size
-    # The mean of both ends is off by more; where the voltage runs linearly its bend at the samples is not followed.
-    assert off.max() < (0.01 if held else 0.3) * both.max()
+    # The mean of both ends is off by more.
+    assert off.max() < 0.01 * both.max()
 
 
 def answering(torque: float, voltage: float) -> Linearisation:
@@ -76,7 +75,7 @@ def test_what_is_held_does_not_bend_the_speed_however_the_current_jumps(
     torque: float, voltage: float
 ) -> None:
     """A rotor that is held, a current that something imposes, and both."""
-    mean = mean_of(np.arange(2.0), answering(torque, voltage), 0.3, held=True)
+    mean = mean_of(answering(torque, voltage))
     assert mean.since_last(np.array([0.0, 2.0]), np.array([0.0, 5.0])) == pytest.approx([0.0, 1.0])
 
 
@@ -133,6 +132,4 @@ def test_how_a_mean_answers_to_every_parameter_is_told(held: bool) -> None:
         step = 1e-4 * value or 1e-6
         up, down = (predict(model.with_values({key: value + sign * step}), run, 0)[1] for sign in (1, -1))
         told = (up - down)[:, 1] / (2 * step)
-        # How far the current falls within a sample is taken as of the winding alone, without what it induces.
-        share = 0.025 if key == "L" else 0.005
-        assert columns[:, 1, k] == pytest.approx(told, abs=share * np.abs(told).max()), key
+        assert columns[:, 1, k] == pytest.approx(told, abs=0.002 * np.abs(told).max()), key

@@ -318,6 +318,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
     said = [one.sentence for one in found.dead]
     said += [run.saturation for run in found.runs if run.saturated]
     said += [run.averaging for run in found.runs if run.mean_speed and not run.from_angle]
+    said += [run.asynchronous for run in found.runs if run.asynchronous]
     said += [run.repetition for run in found.runs if run.repeats]
     said += [run.humming for run in found.runs if run.hum]
     said += [run.spiking for run in found.runs if run.spikes]

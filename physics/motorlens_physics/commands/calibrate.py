@@ -103,6 +103,7 @@ def _lines(found: "Calibration") -> list[str]:
     lines += said.sentences
     lines += [run.saturation for run in found.runs if run.saturated]
     lines += [run.averaging for run in found.runs if run.mean_speed and not run.from_angle]
+    lines += [run.asynchronous for run in found.runs if run.asynchronous]
     lines += [run.repetition for run in found.runs if run.repeats]
     lines += [run.humming for run in found.runs if run.hum]
     lines += [run.spiking for run in found.runs if run.spikes]

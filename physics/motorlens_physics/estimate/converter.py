@@ -53,6 +53,17 @@ def quantisation_step(y: Array) -> float:
     return step if np.max(np.abs(whole - np.round(whole))) < 0.1 else 0.0
 
 
+def counted_step(angle: Array) -> float:
+    """The least significant bit of a signal that goes on and on, from what it changes by; 0 if that looks continuous.
+
+    >>> counts = np.cumsum(np.random.default_rng(0).integers(-20, 40, 4000))
+    >>> round(counted_step(2 * np.pi / 512 * counts) * 512 / (2 * np.pi), 6)
+    1.0
+    """
+    rounding = ROUNDING * max(float(np.nanmax(np.abs(angle))), np.finfo(float).tiny)
+    return quantisation_step(rounding * np.round(np.diff(angle) / rounding))
+
+
 def saturated(y: Array) -> NDArray[np.bool_]:
     """(N,) where a channel shows the end of its converter's range: the truth may be anything beyond.
 

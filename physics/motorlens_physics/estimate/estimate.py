@@ -38,6 +38,7 @@ from motorlens_physics.estimate.weighed import (
     needed,
     noisier,
     with_colour,
+    with_moments,
     with_rough_inputs,
 )
 from motorlens_physics.motor_file import MotorFile
@@ -174,6 +175,10 @@ def near(
     prior = every.only([key for key in every.keys if not _knee(begin, key)])
     timing = Timing(model, wide, longer, prior, progress)
     point = timing.held_at_file(timing.likeliest(timing.near(model, pieces), free=free))
+    between = with_moments(point)
+    if between is not point:
+        point = minimised(between, prior, progress, outliers=False)[0]
+        point = timing.under_its_noise(point, model, pieces, free=free)
     # Parameters that are wrong leave errors that follow the inputs, and that last.
     rough = with_rough_inputs(point, prior)
     point = point if rough is point else minimised(rough, prior, progress, outliers=False)[0]

@@ -44,9 +44,10 @@ def _transition(own, every, matrices, balances, holds, keeps, k, F, late):  # ty
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _ahead(own, every, keeps, variance, k, F, late, fresh, A, P):  # type: ignore[no-untyped-def]
+def _ahead(own, every, matrices, jumps, keeps, variance, k, F, late, fresh, A, P):  # type: ignore[no-untyped-def]
     """The covariance P of states and disturbances, from sample k - 1 to k."""
     n, s = len(own), len(every)
+    jump = jumps[k - 1] ** 2 if len(jumps) else 0.0
     for d in range(s - n):
         fresh[d] = variance[d] * (1.0 - keeps[k - 1, d] * keeps[k - 1, d])
     for r in range(n):
@@ -58,6 +59,9 @@ def _ahead(own, every, keeps, variance, k, F, late, fresh, A, P):  # type: ignor
                 total += A[r, m] * F[c, m]
             for d in range(s - n):
                 total += late[d, r] * late[d, c] * fresh[d]
+            if jump > 0:
+                first = matrices[k - 1, r, n] * matrices[k - 1, c, n]
+                total += jump * (first + matrices[k - 1, r, n + 3] * matrices[k - 1, c, n + 3])
             P[r, c] = total
             P[c, r] = total
     for d in range(s - n):
@@ -73,7 +77,7 @@ def _ahead(own, every, keeps, variance, k, F, late, fresh, A, P):  # type: ignor
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def spread(own, every, matrices, shows, drifts, balances, holds, keeps, variance, P, power):  # type: ignore[no-untyped-def]
+def spread(own, every, matrices, jumps, shows, drifts, balances, holds, keeps, variance, P, power):  # type: ignore[no-untyped-def]
     """Add to `power` (C,) the mean variance of what the channels show, from the covariance P (s, s) at the first sample."""
     n, s = len(own), len(every)
     F, A, late, fresh = np.zeros((n, s)), np.zeros((n, s)), np.zeros((s - n, s)), np.zeros(s - n)
@@ -81,7 +85,7 @@ def spread(own, every, matrices, shows, drifts, balances, holds, keeps, variance
     for k in range(samples):
         if k:
             _transition(own, every, matrices, balances, holds, keeps, k - 1, F, late)
-            _ahead(own, every, keeps, variance, k, F, late, fresh, A, P)
+            _ahead(own, every, matrices, jumps, keeps, variance, k, F, late, fresh, A, P)
         for c in range(len(shows)):
             h = shows[c]
             power[c] += P[h, h] / samples
@@ -115,8 +119,8 @@ def _interval(error, power, step):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def forward(  # type: ignore[no-untyped-def]
-    own, every, matrices, shows, drifts, balances, holds, keeps, variance, noise, P, y, white, scale, gain, steps, deviance,
-    unlikely,
+    own, every, matrices, jumps, shows, drifts, balances, holds, keeps, variance, noise, P, y, white, scale, gain, steps,
+    deviance, unlikely,
 ):  # fmt: skip
     """Filter one column y (N, C), channel by channel.
 
@@ -132,7 +136,7 @@ def forward(  # type: ignore[no-untyped-def]
     for k in range(y.shape[0]):
         if k:
             _transition(own, every, matrices, balances, holds, keeps, k - 1, F, late)
-            _ahead(own, every, keeps, variance, k, F, late, fresh, A, P)
+            _ahead(own, every, matrices, jumps, keeps, variance, k, F, late, fresh, A, P)
             for r in range(n):
                 ahead[r] = 0.0
                 for m in range(s):

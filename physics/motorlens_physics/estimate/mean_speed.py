@@ -6,48 +6,56 @@ current and speed go as Phi(t), from f at its begin; so in a sample of T
     x_after - x_before = S f,  S = integral of Phi(t) dt
     mean of x - x_before = Q f,  Q = integral of (1 - t/T) Phi(t) dt
 
-of which f is eliminated. The columns of S and Q are, but for factors that cancel, how the states answer to a voltage and a
-torque that hold, and to such that rise linearly from nought: the motor along its trajectory knows them (`Linearisation`),
-with all that acts in it. How the mean depends on the motor's parameters is told as if neither acted on the other: with r the
-winding's time constant in samples, a the acceleration by the change of the current, and c what viscosity alone makes of it,
-
-    a (r^2 - r/2 coth(1/(2 r))) - c/12
-
-is added to the mean of both ends, of which -a/12 is left where the current bends slowly, or runs linearly as the voltage
-does (Hermite's rule).
+of which f is eliminated. Inputs that run linearly besides would take the motor along a ramp, of which the mean is that of
+both ends, and what is left goes by itself. The columns of S and Q are, but for factors that cancel, how the states answer to
+a voltage and a torque that hold, and to such that rise linearly from nought: the motor along its trajectory knows them
+(`Linearisation`), with all that acts in it. How the mean depends on the motor's parameters is told by the textbook's motor,
+of which Phi(t) = exp(A t) and Q S^-1 = (A T)^-1 - (exp(A T) - 1)^-1.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.inputs import Inputs
 from motorlens_physics.motor import Motor
 from motorlens_physics.sensitivity import Linearisation
 
 Array = NDArray[np.float64]
 
-# Shortest electrical time constant, in samples, that is told from none: below, nothing bends.
-BRIEFEST = 1e-6
-# Longest, in samples, that the closed form is used for: there the series of two terms has seven digits of it.
-SLOW = 10.0
+# The name of the mean among the states of a motor.
+MEAN = "mean of w"
+# Below this, in samples, the series of three terms has more digits than the difference it stands for.
+SERIES = 0.1
+# Rates that are as near to each other, in samples, are taken to be so far apart.
+APART = 1e-5
+# Share of itself by which a parameter is changed to see what depends on it.
+CHANGED = 1e-4
+# Those on which the mean depends.
+KEYS = ("R_a0", "L", "ke", "J", "b")
+
+
+@dataclass(frozen=True)
+class Changes:
+    """How current and speed (N - 1,) change over each sample, in A and rad/s."""
+
+    current: Array
+    speed: Array
 
 
 @dataclass(frozen=True)
 class Mean:
-    """How the mean of the speed over each sample differs from the speed at its begin, and what that depends on.
+    """How the mean of the speed over each sample follows from the speed at its begin and what changes until its end.
 
     Attributes:
-        of_current: (N - 1,) by a change of the current from its begin to its end, rad/s/A.
+        of_current: (N - 1,) by a change of the current, rad/s/A.
         of_speed: (N - 1,) by a change of the speed: a half where it changes evenly.
-        slope: (N - 1,) change of `of_current` with the logarithm of the electrical time constant.
-        damped_s: (N - 1,) change of `of_speed` with what viscosity takes off the speed in a second.
     """
 
     of_current: Array
     of_speed: Array
-    slope: Array
-    damped_s: Array
 
     def since_last(self, speed: Array, current: Array) -> Array:
         """The mean speed since the sample before; at the first the speed there.
@@ -55,7 +63,7 @@ class Mean:
         Args:
             speed, current: (N, ...) at the samples, or changes of them.
 
-        >>> even = Mean(np.ones(2), np.full(2, 0.5), np.zeros(2), np.zeros(2))
+        >>> even = Mean(np.ones(2), np.full(2, 0.5))
         >>> even.since_last(np.array([0.0, 2.0, 4.0]), np.ones(3))
         array([0., 1., 3.])
         """
@@ -64,62 +72,127 @@ class Mean:
         mean[1:] += self.of_current.reshape(across) * (current[1:] - current[:-1])
         return mean
 
-    def of_parameters(self, motor: Motor, speed: Array, current: Array) -> dict[str, Array]:
-        """(N - 1,) by how much the mean over each sample changes with parameters beside what the speed at its ends does.
-
-        Args:
-            motor: with its parameters as they are.
-            speed, current: (N,) at the samples.
-        """
-        bent, jump = self.of_current * np.diff(current), np.diff(current)
-        return {
-            "L": self.slope * jump / motor.L,
-            "R_a0": -self.slope * jump / motor.R_a0,
-            "J": -bent / motor.J,
-            "ke": bent / motor.ke,
-            "b": self.damped_s * np.diff(speed) / motor.J,
-        }
+    def along(self, ramps: Changes) -> Array:
+        """(N - 1,) what the mean over each sample is more where inputs take the motor along ramps."""
+        return (0.5 - self.of_speed) * ramps.speed - self.of_current * ramps.current
 
 
-def mean_of(time_s: Array, linear: Linearisation, decay_s: float, *, held: bool) -> Mean:
-    """How the mean of the speed follows from what is simulated at the samples.
-
-    Args:
-        time_s: (N,) of the samples.
-        linear: the motor along its trajectory.
-        decay_s: the electrical time constant.
-        held: whether the voltage holds from one sample to the next, or runs linearly.
-    """
-    n, i, w = len(linear.states), linear.states.index("i"), linear.states.index("w")
-    decay = np.maximum(decay_s / np.diff(time_s), BRIEFEST)
-    # Of the current that was there before, a share of this has acted on the speed.
-    gain = linear.matrices[:, w, i] / (-decay * np.expm1(-1 / decay))
-    if not held:
-        nothing = np.zeros(len(gain))
-        return Mean(-gain / 12, np.full(len(gain), 0.5), nothing, nothing)
-    slope = gain * _slope(decay) * decay
-    # (N - 1, 2, 2) how current and speed answer to voltage and torque.
-    answers = linear.matrices[:, [i, w]]
-    rising = answers[:, :, n + 3 : n + 5]
-    holding = rising + answers[:, :, n : n + 2]
+def mean_of(linear: Linearisation) -> Mean:
+    """How the mean of the speed follows from what is simulated at the samples."""
+    holding, rising, _ = _answers(linear)
     (to_volts, to_torque), (spun, pushed) = np.moveaxis(holding, 0, -1)
     q_volts, q_torque = rising[:, 1].T
     free = to_volts * pushed - to_torque * spun
     # A rotor or a current that is held answers to nothing.
     either = free != 0
     over, alone = np.where(either, free, 1.0), np.where(pushed != 0, pushed, 1.0)
-    of_current = np.where(either, (q_volts * pushed - q_torque * spun) / over, 0.0)
-    of_speed = np.where(
-        either,
-        (q_torque * to_volts - q_volts * to_torque) / over,
-        np.where(pushed != 0, q_torque / alone, 0.5),
+    return Mean(
+        np.where(either, (q_volts * pushed - q_torque * spun) / over, 0.0),
+        np.where(
+            either,
+            (q_torque * to_volts - q_volts * to_torque) / over,
+            np.where(pushed != 0, q_torque / alone, 0.5),
+        ),
     )
-    return Mean(of_current, of_speed, slope, np.diff(time_s) / 12)
 
 
-def _slope(decay: Array) -> Array:
-    """Derivative of r^2 - r/2 coth(1/(2 r)), by the series where that cancels."""
-    slow, fast = np.maximum(decay, SLOW), np.minimum(decay, SLOW)
-    half = np.minimum(0.5 / fast, 300.0)
-    slope = 2 * fast - 0.5 / np.tanh(half) - 0.25 / (fast * np.sinh(half) ** 2)
-    return np.where(decay > SLOW, -1 / (360 * slow**3), slope)
+def ramps_of(linear: Linearisation, inputs: Inputs) -> Changes:
+    """How current and speed would change over each sample if inputs had run as linearly for long; hardly where they hold."""
+    holding, _, left = _answers(linear)
+    forced = np.einsum("krc,kc->kr", holding, np.column_stack(_linear_changes(inputs)))
+    free = left[:, 0, 0] * left[:, 1, 1] - left[:, 0, 1] * left[:, 1, 0]
+    # What is held follows no ramp.
+    over = np.where(free != 0, free, np.inf)
+    return Changes(
+        (left[:, 1, 1] * forced[:, 0] - left[:, 0, 1] * forced[:, 1]) / over,
+        (left[:, 0, 0] * forced[:, 1] - left[:, 1, 0] * forced[:, 0]) / over,
+    )
+
+
+def with_mean(linear: Linearisation) -> Linearisation:
+    """With the mean of the speed over each sample as one more state, the last: what a counted speed shows.
+
+    Of states that are off and go on by themselves it is exact, and of disturbances that hold.
+    """
+    mean, i, w = mean_of(linear), linear.states.index("i"), linear.states.index("w")
+    of_current, of_speed = mean.of_current[:, None], mean.of_speed[:, None]
+    steps, n = linear.matrices.shape[:2]
+    of_states, of_forcings = linear.matrices[:, :, :n], linear.matrices[:, :, n:]
+    wider = np.zeros((steps, n + 1, n + 7))
+    wider[:, :n, :n], wider[:, :n, n + 1 :] = of_states, of_forcings
+    wider[:, n, :n] = of_speed * of_states[:, w] + of_current * of_states[:, i]
+    wider[:, n, w] += 1 - of_speed[:, 0]
+    wider[:, n, i] -= of_current[:, 0]
+    wider[:, n, n + 1 :] = of_speed * of_forcings[:, w] + of_current * of_forcings[:, i]
+    return Linearisation((*linear.states, MEAN), wider)
+
+
+def of_parameters(motor: Motor, inputs: Inputs, theta: Array, changes: Changes) -> dict[str, Array]:
+    """(N - 1,) by how much the mean over each sample changes with parameters beside what the states at its ends do.
+
+    Args:
+        motor: with its parameters as they are.
+        inputs: what acts on it.
+        theta: (N,) rise of the winding, K.
+        changes: from sample to sample.
+    """
+    known = np.array([getattr(motor, key) for key in KEYS])
+    # A viscosity may be nought.
+    steps = CHANGED * np.where(known > 0, known, motor.ke**2 / motor.R_a0)
+    hotter = 1 + motor.alpha * theta[:-1]
+    told = {}
+    for k, (key, step) in enumerate(zip(KEYS, steps, strict=True)):
+        up, down = known.copy(), known.copy()
+        up[k], down[k] = known[k] + step, known[k] - step
+        after, before = (_textbook(values, inputs, hotter, changes) for values in (up, down))
+        told[key] = (after - before) / (2 * step)
+    return told
+
+
+def _answers(linear: Linearisation) -> tuple[Array, Array, Array]:
+    """(N - 1, 2, 2) how current and speed answer to voltage and torque that hold, and that rise; what they lose."""
+    n, at = len(linear.states), [linear.states.index(state) for state in ("i", "w")]
+    own = linear.matrices[:, at]
+    rising = own[:, :, n + 3 : n + 5]
+    return rising + own[:, :, n : n + 2], rising, np.eye(2) - own[:, :, at]
+
+
+def _linear_changes(inputs: Inputs) -> tuple[Array, Array]:
+    """(N - 1,) changes of the voltage, and of the torque that drives, where they run linearly; nothing where they hold."""
+    of_voltage, of_load, _ = inputs.hold
+    return np.diff(inputs.voltage_V) * (not of_voltage), -np.diff(inputs.load_torque_Nm) * (not of_load)
+
+
+def _textbook(values: Sequence[float] | Array, inputs: Inputs, hotter: Array, changes: Changes) -> Array:
+    """(N - 1,) mean of the speed less that at the begin of each sample, of the textbook's motor.
+
+    Args:
+        values: of `KEYS`.
+        inputs: what acts on it.
+        hotter: (N - 1,) its resistance over that of `R_a0`.
+        changes: of its states.
+    """
+    resistance, (_, L, ke, J, b) = values[0] * hotter, values
+    volts, torque = _linear_changes(inputs)
+    ramp = (ke * volts + resistance * torque) / (resistance * b + ke**2)
+    ramp_current = (b * ramp - torque) / ke
+    T = np.diff(inputs.time_s)
+    # The matrix A T, and a function of it as the line through its values at both rates.
+    ii, iw, wi, ww = -resistance / L * T, -ke / L * T, ke / J * T, -b / J * T
+    middle = 0.5 * (ii + ww)
+    half = np.sqrt(np.asarray(0.25 * (ii - ww) ** 2 + iw * wi, dtype=np.complex128))
+    half = np.where(np.abs(half) < APART, APART, half)
+    first, second = _share(np.asarray(middle + half)), _share(np.asarray(middle - half))
+    slope, level = np.real((first - second) / (2 * half)), np.real(0.5 * (first + second))
+    of_current, of_speed = slope * wi, level + slope * (ww - middle)
+    mean = of_current * (changes.current - ramp_current) + of_speed * (changes.speed - ramp) + 0.5 * ramp
+    return np.asarray(mean)
+
+
+def _share(rate: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """1/x - 1/(exp(x) - 1), by its series where that cancels."""
+    near = np.abs(rate) < SERIES
+    small, large = np.where(near, rate, 0.0), np.where(near, 1.0, rate)
+    return np.where(
+        near, 0.5 - small / 12 + small**3 / 720 - small**5 / 30240, 1 / large - 1 / np.expm1(large)
+    )

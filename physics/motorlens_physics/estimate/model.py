@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.forcing import SETTLED
-from motorlens_physics.estimate.mean_speed import Mean, mean_of
+from motorlens_physics.estimate.mean_speed import Changes, mean_of, of_parameters, ramps_of
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -217,10 +217,11 @@ def sensitivities_of(
         columns[:, c, at] = derivative[:, linear.states.index(STATE_OF[channel])]
         if channel == "speed" and run.mean_speed:
             speed, current = (derivative[:, linear.states.index(state)] for state in ("w", "i"))
-            mean = _mean_of(model, run, linear)
-            columns[:, c, at] = mean.since_last(speed, current)
-            # The same change of the current bends the speed otherwise in another motor.
-            bent = mean.of_parameters(motor, trajectory.states["w"], trajectory.states["i"])
+            columns[:, c, at] = mean_of(linear).since_last(speed, current)
+            # The same changes of current and speed bend it otherwise in another motor.
+            states = trajectory.states
+            changes = Changes(np.diff(states["i"]), np.diff(states["w"]))
+            bent = of_parameters(motor, trajectory.inputs, states["theta"], changes)
             for key in bent.keys() & set(local):
                 columns[1:, c, local.index(key)] += bent[key]
     outside = [
@@ -316,8 +317,10 @@ def true_outputs(model: Model, run: Run, trajectory: Trajectory, linear: Lineari
     """(N, C) what the channels measure, before their sensors."""
     y = _stack(run, trajectory)
     if run.mean_speed:
-        states = trajectory.states
-        y[:, run.channels.index("speed")] = _mean_speed(model, run, linear, states["w"], states["i"])
+        mean = mean_of(linear)
+        speed = mean.since_last(trajectory.states["w"], trajectory.states["i"])
+        speed[1:] += mean.along(ramps_of(linear, trajectory.inputs))
+        y[:, run.channels.index("speed")] = speed
     return y
 
 
@@ -325,17 +328,9 @@ def changed_outputs(model: Model, run: Run, linear: Linearisation, states: Mappi
     """(N, C, m) by how much it changes if the states change (N, m) so much."""
     out = np.stack([states[STATE_OF[channel]] for channel in run.channels], axis=1)
     if run.mean_speed:
-        out[:, run.channels.index("speed")] = _mean_speed(model, run, linear, states["w"], states["i"])
+        mean = mean_of(linear).since_last(states["w"], states["i"])
+        out[:, run.channels.index("speed")] = mean
     return out
-
-
-def _mean_speed(model: Model, run: Run, linear: Linearisation, speed: Array, current: Array) -> Array:
-    return _mean_of(model, run, linear).since_last(speed, current)
-
-
-def _mean_of(model: Model, run: Run, linear: Linearisation) -> Mean:
-    motor = model.file.motor
-    return mean_of(run.inputs.time_s, linear, motor.L / motor.R_a0, held=run.inputs.hold[0])
 
 
 def _record(sensor: SensorModel, time_s: Array, y: Array) -> Array:

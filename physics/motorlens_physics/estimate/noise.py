@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.innovations import StateSpace, share_that_remains
+from motorlens_physics.estimate.mean_speed import MEAN, with_mean
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.estimate.signals import (
     NOTHING_LASTS,
@@ -48,6 +49,9 @@ LEAST, TINY = 1e-9, 1e-12
 UNEVEN_LEVELS = 0.1
 # Coloured noise has no more than this many times the variance that shows.
 MOST_OF_LOOKS = 1.5
+# A command that may have changed at any moment of a sample was, on the average over those moments, wrong by so much of its
+# change, squared.
+AT_ANY_MOMENT = 1 / 3
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
 
@@ -64,6 +68,7 @@ class Noise:
         lasts_s: how long each lasts; 0 is white.
         floor: (C,) smallest variance that is believed: what a converter's levels are uneven by, or the integration's error.
         least: the smallest that each disturbance can be: an input is as noisy as the errors that follow its roughness say.
+        between: whether a command may have changed at any moment between two samples, not at one of them.
     """
 
     channels: Array
@@ -72,6 +77,7 @@ class Noise:
     lasts_s: Array
     floor: Array
     least: Array
+    between: bool = False
 
     def within(self, channels: Array, disturbances: Array) -> "Noise":
         """With other variances (C,) and (3,), as far as they are believed."""
@@ -96,6 +102,7 @@ class Noise:
             most=np.append(self.most, other.most[COLOURED]),
             lasts_s=other.lasts_s,
             least=other.least,
+            between=other.between,
         )
         return alike.within(other.channels, other.disturbances)
 
@@ -211,11 +218,18 @@ class Noise:
         if coloured_too:
             drifts[:, 0] = first + np.arange(len(run.channels))
         of_input = [INPUTS.index(name) if name in INPUTS else -1 for name in lasting]
-        hold = run.inputs.hold
+        hold, jumps = run.inputs.hold, self._jumps_V(run)
+        shows = dict(STATE_OF)
+        if run.mean_speed:
+            linear, shows["speed"] = with_mean(linear), MEAN
+        if run.mean_speed and jumps.any():
+            # When in a sample the speed began to change decides its mean, which the motor's states at the end do not tell.
+            used = used.copy()
+            used[1:, run.channels.index("speed")] &= jumps == 0
         # A torque that nobody measured has no reason to hold: it runs from one sample to the next.
         return StateSpace(
             linear.matrices,
-            np.array([linear.states.index(STATE_OF[channel]) for channel in run.channels]),
+            np.array([linear.states.index(shows[channel]) for channel in run.channels]),
             np.concatenate([BALANCES, np.array(of_input, dtype=np.int64)]),
             drifts,
             run.steps,
@@ -224,7 +238,16 @@ class Noise:
             self.all_of(run),
             np.ascontiguousarray(np.where(used, self.channels + run.steps**2 / 12, np.inf)),
             np.zeros(len(linear.states)),
+            jumps,
         )
+
+    def _jumps_V(self, run: Run) -> Array:
+        """(N - 1,) standard deviation of the voltage's error in each sample in which its command changed; empty if none."""
+        if not self.between:
+            return np.zeros(0)
+        changes = np.abs(np.diff(run.inputs.voltage_V))
+        noise_V = np.sqrt(2 * float(self.of_input(run, self.all_of(run)[None], VOLTAGE)[0]))
+        return np.asarray(np.sqrt(AT_ANY_MOMENT) * np.where(changes > OUTLIER * noise_V, changes, 0.0))
 
 
 def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:

@@ -143,8 +143,29 @@ def _stretch(space: StateSpace, rows: slice, error: Array) -> StateSpace:
         start[space.shows] = np.mean(error**2, axis=0)
     return replace(
         space, matrices=space.matrices[rows.start : rows.stop - 1], keeps=space.keeps[rows.start : rows.stop - 1],
-        noise=space.noise[rows], start=start,
+        noise=space.noise[rows], start=start, jumps_V=space.jumps_V[rows.start : rows.stop - 1],
     )  # fmt: skip
+
+
+def changed_between(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_]
+) -> Noise:
+    """The noise with a command that changed at any moment between samples, if that is likelier; itself if it is not.
+
+    What is seen of a change then tells of the motor only what its moment does not.
+
+    Args: as of `lasting`.
+    """
+    other = replace(noise, between=True)
+    space = other.space(run, linear, used)
+    if not space.jumps_V.any():
+        return noise
+    # Where the moment is not known, some samples tell nothing: they count on neither side.
+    used = np.isfinite(space.noise)
+    (_, before), (found, after) = (
+        likelier(one, run, linear, error, used, CONVERGED) for one in (noise, other)
+    )
+    return found if before - after > chdtri(1, CHANCE) else noise
 
 
 def lasting(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.converter import (
     LastingError,
+    counted_step,
     lasting_error,
     quantisation_step,
     saturated,
@@ -284,6 +285,16 @@ class Run:
             "is; the recording is likelier so."
         )
 
+    @property
+    def asynchronous(self) -> str:
+        """That its voltage changes between samples, for the reader; "" if it does not."""
+        if self.noise is None or not self.noise.between:
+            return ""
+        return (
+            f"{self.name}: the voltage changes at any moment between two samples, and not at one of them: of what follows a "
+            "change that tells of the motor which its moment does not; the recording is likelier so."
+        )
+
     def part(self, rows: slice, file: MotorFile) -> "Run":
         """Some consecutive samples as a run of its own, as they are: none is averaged with another."""
         inputs, measured = self.inputs.part(rows), self.measured[rows]
@@ -375,11 +386,10 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             first, last = recording.time_s[np.flatnonzero(hangs)[[0, -1]]].tolist()
             hung[channel] = (first, last)
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
-        # Where steps of time vary, so do those of a speed that was counted.
-        counted = recording.speed_from_angle and channel == "speed"
-        least_bits[k] = (
-            quantisation_step(recording.channels["angle"]) / period_s if counted else quantisation_step(y)
-        )
+        least_bits[k] = quantisation_step(y)
+        if recording.speed_from_angle and channel == "speed":
+            # The errors of two counts, and steps of time may vary.
+            least_bits[k] = np.sqrt(2) * counted_step(recording.channels["angle"]) / period_s
         floor[k] = max(least_bits[k] / np.sqrt(12), 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
     known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))

@@ -19,7 +19,7 @@ from motorlens_physics.estimate.innovations import Read, Sums, disturbances, rea
 from motorlens_physics.estimate.input_noise import least_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise
-from motorlens_physics.estimate.noise_likelihood import coloured, lasting, likelier
+from motorlens_physics.estimate.noise_likelihood import changed_between, coloured, lasting, likelier
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import smoothed
@@ -122,6 +122,11 @@ class Errors:
         response_s = self.frame.model.file.motor.response_s
         noise = lasting(self.noise, self.run, self.linear, self.error, self.used, response_s)
         return replace(self, noise=noise)
+
+    def with_moments(self) -> "Errors":
+        """With a command that changed at any moment between samples, if that is likelier; itself if it is not."""
+        noise = changed_between(self.noise, self.run, self.linear, self.error, self.used)
+        return self if noise is self.noise else replace(self, noise=noise)
 
     def with_colour(self) -> "Errors":
         """With coloured noise, if that is likelier; itself if it is not."""
@@ -347,6 +352,11 @@ def with_rough_inputs(point: Weighed, prior: Prior) -> Weighed:
         part.with_rough_inputs(other) for part, other in zip(point.parts, recorded.parts, strict=True)
     )
     return _with_parts(point, parts)
+
+
+def with_moments(point: Weighed) -> Weighed:
+    """A point near the best parameters whose commands changed between samples where that is likelier; itself if none did."""
+    return _with_parts(point, tuple(on_all_cores(Errors.with_moments, point.parts)))
 
 
 def with_colour(point: Weighed) -> Weighed:
