@@ -4,7 +4,8 @@
 
 Motors, drives, encoders and loggers are drawn anew for each, see `tests/helpers/counted_angle.py` (other code): each
 parameter of the motor is off by up to 30 %, its rotor up to ten times as nimble, the motor file by up to 10 %, and says so.
-Steps of time of 2 to 20 ms are steady or vary by a quarter. Some 10 s of processor time a log.
+Steps of time of 2 to 20 ms are steady or vary by a quarter; in every second log the command changes between samples. Some
+10 s of processor time a log.
 """
 
 import argparse
@@ -36,9 +37,9 @@ def main() -> int:
     args = parser.parse_args()
     verdicts: Counter[str] = Counter()
     within: Counter[str] = Counter()
-    print("steps   uneven counts current verdict        R, L, ke, J off by so many sd")
+    print("steps   uneven counts current changes verdict        R, L, ke, J off by so many sd")
     for number in range(args.count):
-        one, began = logged(args.seed, number), time.process_time()
+        one, began = logged(args.seed, number, between=number % 2 == 1), time.process_time()
         with tempfile.TemporaryDirectory() as folder:
             recording = read_recording(one.write(Path(folder) / "log.csv"), one.columns)
         found = diagnose(voltage_commanded(one.file), [recording])
@@ -48,8 +49,9 @@ def main() -> int:
         within.update(key for key in STATED if abs(off[key]) <= 2)
         off_by = " ".join(f"{off[key]:6.1f}" for key in STATED)
         uneven, current = ("yes" if it else "no" for it in (one.uneven, one.current))
+        changes = "between" if one.between else "at them"
         print(
-            f"{one.period_ms:2d} ms   {uneven:6s} {one.counts:6d} {current:7s} {said:12s}"
+            f"{one.period_ms:2d} ms   {uneven:6s} {one.counts:6d} {current:7s} {changes:7s} {said:12s}"
             f" {off_by}  {time.process_time() - began:4.0f} s",
             flush=True,
         )

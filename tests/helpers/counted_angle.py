@@ -1,7 +1,8 @@
 """Recordings of a logger that writes the voltage it commands and the counts of an encoder, by `plain_motor`'s integrator.
 
 Every sample has its stamp in whole milliseconds, at steady or at uneven steps. At each the voltage may change, and holds
-until the next. What is counted is the angle of the shaft; no speed is written, and not always a current.
+until the next; or it changes at any moment. What is counted is the angle of the shaft; no speed is written, and not always
+a current.
 """
 
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ class Log:
         uneven: whether steps of time vary.
         counts: of a revolution.
         current: whether it was written.
+        between: whether the command changes at any moment, not at a sample.
         truth: the motor.
         file: what its file says.
         lines: the log, with a heading.
@@ -45,6 +47,7 @@ class Log:
     uneven: bool
     counts: int
     current: bool
+    between: bool
     truth: dict[str, float]
     file: MotorFile
     lines: tuple[str, ...]
@@ -60,8 +63,8 @@ class Log:
         return path
 
 
-def logged(seed: int, number: int, samples: int = 2500) -> Log:
-    """One of them."""
+def logged(seed: int, number: int, *, between: bool = False, samples: int = 2500) -> Log:
+    """One of them; the command of another program changes `between` samples, and each shows what it then was."""
     rng = np.random.default_rng([seed, number])
     truth = scattered(rng)
     # As nimble as motors are whose rotor settles within a few samples.
@@ -70,14 +73,18 @@ def logged(seed: int, number: int, samples: int = 2500) -> Log:
     uneven, current, smooth, one_way = (bool(rng.integers(2)) for _ in range(4))
     least, most = (round(period_ms * (1 + sign * UNEVEN * uneven)) for sign in (-1, 1))
     stamps = np.cumsum(rng.integers(max(least, 1), most + 1, samples))
-    voltage = _voltage(rng, samples, int(rng.integers(600, 2000) / period_ms), smooth, one_way)
-    states = simulated(
-        truth,
-        np.repeat(voltage, np.diff(stamps, append=stamps[-1] + 1) * FINE),
-        np.zeros((stamps[-1] + 1 - stamps[0]) * FINE),
-        Test(1e-3 / FINE, (stamps[-1] + 1 - stamps[0]) * FINE, 1, True, 0.0),
-    )
-    speed, at = states[:, 1], (stamps - stamps[0]) * FINE
+    dwell = int(rng.integers(600, 2000) / period_ms)
+    at, fine = (stamps - stamps[0]) * FINE, (stamps[-1] + 1 - stamps[0]) * FINE
+    if between:
+        changes = np.sort(rng.choice(fine, samples // dwell, replace=False))
+        levels = rng.uniform(-RATED["voltage"], RATED["voltage"], len(changes) + 1).round(1)
+        driven = levels[np.searchsorted(changes, np.arange(fine), side="right")]
+        voltage = driven[at]
+    else:
+        voltage = _voltage(rng, samples, dwell, smooth, one_way)
+        driven = np.repeat(voltage, np.diff(at, append=fine))
+    states = simulated(truth, driven, np.zeros(fine), Test(1e-3 / FINE, fine, 1, True, 0.0))
+    speed = states[:, 1]
     turns = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]))) * 1e-3 / FINE / (2 * np.pi)
     channels = {
         "time_ms": stamps.astype(str),
@@ -97,6 +104,7 @@ def logged(seed: int, number: int, samples: int = 2500) -> Log:
         uneven,
         counts,
         current,
+        between,
         truth,
         MotorFile("plate", Motor(**written), PLATE, knowledge=known),
         lines,

@@ -37,8 +37,8 @@ SPACES = [(3, False, ()), (4, False, ()), (3, True, ()), (4, True, ()), (3, True
 def space(request: pytest.FixtureRequest) -> StateSpace:
     """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start. Or besides coloured noise.
 
-    Of the voltage, which runs linearly, and of the second channel, whose state is the last. Those that are
-    silent, which stand before others, have no variance.
+    Of the voltage, which runs linearly, and of the second channel, whose state is the last; and a command that changes
+    somewhere in two samples. Those that are silent, which stand before others, have no variance.
     """
     states, lasting, silent = request.param
     rng = np.random.default_rng(0)
@@ -59,6 +59,7 @@ def space(request: pytest.FixtureRequest) -> StateSpace:
         found, shows=np.array([0, states - 1]), balances=np.array([0, 1, 1, 0, -1]), drifts=np.array([[-1, -1], [4, -1]]),
         holds=np.array([True, False, True, False, True]), variance=variance,
         keeps=np.column_stack([keeps, np.full(SAMPLES - 1, 0.6), np.linspace(0.5, 0.8, SAMPLES - 1)]),
+        jumps_V=np.where(np.isin(np.arange(SAMPLES - 1), (2, 7)), 1.7, 0.0),
     )  # fmt: skip
 
 
@@ -77,6 +78,15 @@ def response(space: StateSpace, start: np.ndarray, forcing: np.ndarray) -> np.nd
                 first[balance] += forcing[k, d]
                 last[balance] += forcing[k if space.holds[d] else k + 1, d]
             x = phi @ x + now @ first + then @ last
+    return np.concatenate(shown)
+
+
+def lacked(space: StateSpace, k: int, column: int) -> np.ndarray:
+    """(N * C,) what the channels show of a volt that sample k lacked at its begin or end: a column of its matrix."""
+    x, shown = np.zeros(len(space.start)), [np.zeros(CHANNELS)] * (k + 1)
+    for j in range(k, SAMPLES - 1):
+        x = space.matrices[j, :, : len(x)] @ x + space.matrices[j, :, column] * (j == k)
+        shown.append(x[space.shows])
     return np.concatenate(shown)
 
 
@@ -102,6 +112,10 @@ class Dense:
             self.use
         ]
         self.whole = sum(self.parts) + space.start[0] * np.outer(start, start) + np.diag(sensors[self.use])
+        for k in np.flatnonzero(space.jumps_V):
+            for column in (len(space.start), len(space.start) + 3):
+                seen = space.jumps_V[k] * lacked(space, k, column)[self.use]
+                self.whole += np.outer(seen, seen)
         self.inverse = np.linalg.inv(self.whole)
 
 

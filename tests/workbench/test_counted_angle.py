@@ -13,14 +13,16 @@ from motorlens_workbench.verdict import settle
 
 # Steady steps as long as the rotor's time constant without a current, and uneven ones half as long with one.
 @pytest.mark.fit
-@pytest.mark.parametrize("number", [10, 14])
-def test_counts_alone_do_not_pass_for_a_lag(number: int, tmp_path: Path) -> None:
-    log = logged(4, number)
+@pytest.mark.parametrize(("number", "between"), [(10, False), (14, False), (14, True), (22, True)])
+def test_neither_counts_nor_a_command_that_changes_between_samples_pass_for_what_is_missing(
+    number: int, between: bool, tmp_path: Path
+) -> None:
+    log = logged(4, number, between=between)
     recording = read_recording(log.write(tmp_path / "log.csv"), log.columns)
     found = diagnose(voltage_commanded(log.file), [recording])
     assert settle(found).kind == "adequate"
     run = found.base.runs[0]
-    assert run.mean_speed and not run.late
+    assert run.mean_speed and not run.late and bool(run.asynchronous) == between
     values, sd = found.base.fit.model.values(), found.base.fit.sd()
     for key in STATED:
         assert abs(values[key] - log.truth[key]) < 4 * sd[key], key

@@ -232,7 +232,10 @@ class Noise:
             np.array([linear.states.index(shows[channel]) for channel in run.channels]),
             np.concatenate([BALANCES, np.array(of_input, dtype=np.int64)]),
             drifts,
-            run.steps,
+            # The difference of two counts says of no interval that the truth is in it: its error is noise.
+            np.where(
+                np.array([run.from_angle and channel == "speed" for channel in run.channels]), 0.0, run.steps
+            ),
             np.array([hold[0], hold[1], False, *(which < 0 or hold[which] for which in of_input)]),
             self._keeps(run),
             self.all_of(run),

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
 from motorlens_physics.estimate.innovations import StateSpace, disturbances, read
-from motorlens_physics.estimate.noise import LASTS, TINY, TORQUE, Noise
+from motorlens_physics.estimate.noise import LASTS, TINY, TORQUE, VOLTAGE, Noise
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensitivity import Linearisation
 
@@ -69,7 +69,7 @@ def likelier(
     path, back, total = [noise], noise, float("inf")
     for _ in range(updates):
         leapt = back is not path[-1] and len(path) == 1
-        after, here = _updated(path[-1], parts)
+        after, here = _updated(path[-1], parts, run.steps**2 / 12)
         if leapt and here > total:
             path = [back]
             continue
@@ -83,14 +83,19 @@ def likelier(
     return back, total
 
 
-def _updated(noise: Noise, parts: Sequence[tuple[StateSpace, Array]]) -> tuple[Noise, float]:
-    """One step of maximum likelihood from a noise, and twice the negative logarithmic likelihood before it."""
+def _updated(
+    noise: Noise, parts: Sequence[tuple[StateSpace, Array]], converters: Array
+) -> tuple[Noise, float]:
+    """One step of maximum likelihood from a noise, and twice the negative logarithmic likelihood before it.
+
+    Beside it every channel has the variance (C,) of its converter.
+    """
     total, inputs, sensors = 0.0, np.zeros((2, len(parts[0][0].variance))), np.zeros((2, len(noise.channels)))
     for part, error in parts:
         here = replace(
             part,
             variance=np.append(noise.disturbances, part.variance[len(noise.disturbances) :]),
-            noise=np.where(np.isfinite(part.noise), noise.channels + part.steps**2 / 12, np.inf),
+            noise=np.where(np.isfinite(part.noise), noise.channels + converters, np.inf),
         )
         seen = read(here, error)
         total += float(np.sum(seen.unlikely))
@@ -152,10 +157,13 @@ def changed_between(
 ) -> Noise:
     """The noise with a command that changed at any moment between samples, if that is likelier; itself if it is not.
 
-    What is seen of a change then tells of the motor only what its moment does not.
+    What is seen of a change then tells of the motor only what its moment does not. Asked of a voltage that looks free of
+    noise, as a command is: what was measured may change for a sample by what it shows alone.
 
     Args: as of `lasting`.
     """
+    if noise.most[VOLTAGE] > run.input_step[VOLTAGE] ** 2 / 12 + TINY:
+        return noise
     other = replace(noise, between=True)
     space = other.space(run, linear, used)
     if not space.jumps_V.any():
