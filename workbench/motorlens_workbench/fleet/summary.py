@@ -150,7 +150,7 @@ def ended(found: Estimate) -> dict[str, Any]:
         "mean_speed": run.mean_speed,
         "noise": {
             "channels": run.noise.channels.tolist(), "disturbances": run.noise.disturbances.tolist(),
-            "lasts_s": run.noise.lasts_s.tolist(),
+            "lasts_s": run.noise.lasts_s.tolist(), "between": run.noise.between,
         },
     }  # fmt: skip
 
@@ -175,7 +175,8 @@ def where_it_ended(
         np.array(told[name]) for name in ("channels", "disturbances", "lasts_s")
     )
     # Its limits are those of the recording, see `Noise.like`.
-    noise = Noise(channels, disturbances, disturbances, lasts_s, channels, np.zeros_like(disturbances))
+    nothing, between = np.zeros_like(disturbances), told.get("between", False)
+    noise = Noise(channels, disturbances, disturbances, lasts_s, channels, nothing, between)
     # What had gone where nothing is any more begins at the nearest.
     values = {
         key: float(np.clip(value, *prior.bounds[key]))
