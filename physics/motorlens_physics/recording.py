@@ -209,7 +209,11 @@ def inputs_of(
             raise DataError(
                 f"{recording.name}: {quantity} is imposed ({by.name.lower()}), but was not recorded"
             )
-        imposed[canonical_name(quantity)] = np.where(where, channels[quantity], 0.0)
+        shown = channels[quantity]
+        if quantity == "speed" and recording.speed_from_angle:
+            # What turns a motor acts at the samples: the speed there, and not the mean until then.
+            shown = np.gradient(channels["angle"], recording.time_s)
+        imposed[canonical_name(quantity)] = np.where(where, shown, 0.0)
     return Inputs(
         recording.time_s,
         channels["voltage"],
@@ -434,7 +438,7 @@ class _Reader:
         """The mean speed since the sample before, from a measured angle, which is continued over its wraps.
 
         It is exact however the steps of time vary, and nothing is known of it at the first sample. Central differences would
-        be the mean over two steps, which no speed of the motor is: with an encoder at 50 Hz they passed for a lag.
+        be the mean over two steps, which no speed of the motor is: it passes for a lag.
         """
         turn = 2 * np.pi
         finite = np.isfinite(angle)

@@ -7,16 +7,18 @@ import pytest
 from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 
+from motorlens_physics.conditions import Shaft
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.mean_speed import mean_of
 from motorlens_physics.estimate.model import predict, sensitivities_of
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.run import prepare, prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensitivity import Linearisation
+from motorlens_workbench.hypotheses.dead_channels import left_out
 
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
@@ -96,6 +98,25 @@ def fitted(period_s: float, counted: bool, held: bool, seed: int) -> Estimate:
     file, time = MotorFile("plate", Motor(), PLATE), np.arange(SAMPLES) * period_s
     recording = Recording("counted.csv", time, {**channels, "ambient": np.full(SAMPLES, AMBIENT_C)})
     return estimate(file, prepare_all([recording], file))
+
+
+def test_a_run_without_the_speed_of_its_angle_shows_no_mean() -> None:
+    """Of the current alone; where something turns the shaft; and without a dead encoder's speed."""
+    time, turns = np.arange(200) * 0.01, np.ones(200)
+    channels = {
+        "voltage": turns,
+        "current": np.sin(time),
+        "angle": time,
+        "speed": np.append(np.nan, turns[1:]),
+    }
+    counted = Recording("counted.csv", time, channels, speed_from_angle=True)
+    turned = replace(counted, channels=channels | {"shaft": turns * Shaft.TURNED})
+    file = MotorFile("plate", Motor(), PLATE)
+    whole = prepare(counted, file)
+    assert whole.mean_speed and whole.from_angle and "speed" in whole.channels
+    for run in (prepare(counted, file, ("current",)), prepare(turned, file), left_out(whole, "speed")):
+        assert run.channels == ("current",) and not run.mean_speed and not run.from_angle
+        predict(start_model(file, [run]), run, 0)
 
 
 @pytest.mark.fit

@@ -13,7 +13,17 @@ from motorlens_workbench.verdict import settle
 
 # Steady steps as long as the rotor's time constant without a current, and uneven ones half as long with one.
 @pytest.mark.fit
-@pytest.mark.parametrize(("number", "between"), [(10, False), (14, False), (14, True), (22, True)])
+@pytest.mark.parametrize(
+    ("number", "between"),
+    [
+        (10, False),
+        (14, False),
+        (14, True),
+        (22, True),
+        # Counts of a motor without any ripple repeat, and go with the angle.
+        pytest.param(10, True, marks=pytest.mark.xfail(strict=True, reason="a cogging torque is named")),
+    ],
+)
 def test_neither_counts_nor_a_command_that_changes_between_samples_pass_for_what_is_missing(
     number: int, between: bool, tmp_path: Path
 ) -> None:

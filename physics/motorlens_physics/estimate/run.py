@@ -362,6 +362,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     ambient = recording.channels.get("ambient", np.full(rows, file.rated.ambient_C))
     ambient = level_of(time, ambient, AMBIENT_S)
     inputs = replace(inputs_of(recording, file.rated.ambient_C), time_s=time, ambient_C=ambient)
+    counted = recording.speed_from_angle and "speed" in used
     every, period_s = max(1, -(-rows // ROWS)), float(np.median(np.diff(time)))
     for k, y in enumerate(recording.channels[channel] for channel in used):
         there = np.isfinite(y)
@@ -387,7 +388,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             hung[channel] = (first, last)
         spread = float(np.sqrt(np.mean((measured[:, k] - np.median(measured[:, k])) ** 2)))
         least_bits[k] = quantisation_step(y)
-        if recording.speed_from_angle and channel == "speed":
+        if counted and channel == "speed":
             # The errors of two counts, and steps of time may vary.
             least_bits[k] = np.sqrt(2) * counted_step(recording.channels["angle"]) / period_s
         floor[k] = max(least_bits[k] / np.sqrt(12), 1e-4 * spread, 1e-9) / np.sqrt(every)
@@ -410,7 +411,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
         angle, input_step=coarse_inputs,
         offset_below=exact, converter_errors=errors,
         shaft=angle, hung=hung, saturated=ends, repeats=repeats,
-        mean_speed=recording.speed_from_angle, from_angle=recording.speed_from_angle,
+        mean_speed=counted, from_angle=counted,
     )  # fmt: skip
 
 

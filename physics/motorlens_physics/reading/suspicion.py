@@ -131,9 +131,9 @@ def gaps_and_channels(time: Array, channels: Mapping[str, Array]) -> list[str]:
             continue
         ends = (np.nanmin(y), np.nanmax(y))
         within = (y[:-1] != ends[0]) & (y[:-1] != ends[1]) & (y[:-1] != 0)
+        again = np.diff(y) == 0
         for limit in ends:
             at_limit = y[:-1] == limit
-            again = np.diff(y) == 0
             runs = np.sum(at_limit & again)
             # A commanded voltage rests at its levels, and a motor rests at zero; a measured signal does not rest at a peak
             # more than elsewhere, where it is as coarse.

@@ -221,8 +221,7 @@ def _of_what_is_unexplained(here: Standing, one: Score, end: Fitted, with_it: Re
             for fitted in lacking
             if fitted is not None
         ]
-    except (
-        ModelError
-    ):  # no such model can be simulated: then nothing is known of what the name would win over it
+    except ModelError:
+        # No such model can be simulated: then nothing is known of what the name would win over it.
         return won
     return max(won, min(left) - with_it.unlikely - end.unlikely_beforehand)

@@ -140,6 +140,8 @@ def left_out(run: Run, channel: str) -> Run:
         steps=run.steps[keep],
         valid=np.all(run.there[:, keep], axis=1),
         noise=None,
+        mean_speed=run.mean_speed and channel != "speed",
+        from_angle=run.from_angle and channel != "speed",
     )
 
 
