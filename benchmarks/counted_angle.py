@@ -12,19 +12,17 @@ import argparse
 import sys
 import tempfile
 import time
-from collections import Counter
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve() != HERE)]
 
 from helpers.counted_angle import STATED, logged  # noqa: E402
-from helpers.hidden.score import Rate  # noqa: E402
+from helpers.nothing_missing import coverage, told, verdicts  # noqa: E402
 
 from motorlens_physics.motor_file import voltage_commanded  # noqa: E402
 from motorlens_physics.recording import read_recording  # noqa: E402
 from motorlens_workbench.diagnose import diagnose  # noqa: E402
-from motorlens_workbench.verdict import settle  # noqa: E402
 
 
 def main() -> int:
@@ -35,30 +33,22 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
-    verdicts: Counter[str] = Counter()
-    within: Counter[str] = Counter()
+    every = []
     print("steps   uneven counts current changes verdict        R, L, ke, J off by so many sd")
     for number in range(args.count):
         one, began = logged(args.seed, number, between=number % 2 == 1), time.process_time()
         with tempfile.TemporaryDirectory() as folder:
             recording = read_recording(one.write(Path(folder) / "log.csv"), one.columns)
-        found = diagnose(voltage_commanded(one.file), [recording])
-        values, sd, said = found.base.fit.model.values(), found.base.fit.sd(), settle(found).kind
-        off = {key: (values[key] - one.truth[key]) / sd[key] for key in STATED}
-        verdicts[said] += 1
-        within.update(key for key in STATED if abs(off[key]) <= 2)
-        off_by = " ".join(f"{off[key]:6.1f}" for key in STATED)
+        every.append(told(diagnose(voltage_commanded(one.file), [recording]), one.truth, STATED))
         uneven, current = ("yes" if it else "no" for it in (one.uneven, one.current))
         changes = "between" if one.between else "at them"
         print(
-            f"{one.period_ms:2d} ms   {uneven:6s} {one.counts:6d} {current:7s} {changes:7s} {said:12s}"
-            f" {off_by}  {time.process_time() - began:4.0f} s",
+            f"{one.period_ms:2d} ms   {uneven:6s} {one.counts:6d} {current:7s} {changes:7s} {every[-1].row}"
+            f"  {time.process_time() - began:4.0f} s",
             flush=True,
         )
-    print("verdicts: " + ", ".join(f"{word} {count}" for word, count in verdicts.most_common()))
-    print(f"something said to be missing: {Rate(args.count - verdicts['adequate'], args.count)}")
-    for key in STATED:
-        print(f"{key:5s} within 2 sd of the truth: {Rate(within[key], args.count)}")
+    print(verdicts(every))
+    print(coverage(every))
     return 0
 
 

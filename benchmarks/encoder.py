@@ -11,7 +11,6 @@ Voltage and current have white noise. Some 10 s of processor time a world.
 import argparse
 import sys
 import time
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ HERE = Path(__file__).resolve().parent
 sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve() != HERE)]
 
 from helpers.hidden.score import Rate  # noqa: E402
+from helpers.nothing_missing import coverage, told, verdicts  # noqa: E402
 from helpers.plain_motor import TYPICAL, Test, simulated  # noqa: E402
 
 from motorlens_physics.motor import Motor  # noqa: E402
@@ -28,7 +28,6 @@ from motorlens_physics.motor_file import Knowledge, MotorFile  # noqa: E402
 from motorlens_physics.parameter import Rated  # noqa: E402
 from motorlens_physics.recording import Recording  # noqa: E402
 from motorlens_workbench.diagnose import diagnose  # noqa: E402
-from motorlens_workbench.verdict import settle  # noqa: E402
 
 SMALL = {
     "R_a0": 2.3, "L": 9e-4, "ke": 0.03, "J": 2e-5, "b": 1.5e-5, "alpha": 0.0039, "k0": 0.25, "kT": 1e-4, "k_ir": 1e-7,
@@ -115,31 +114,23 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
-    verdicts: Counter[str] = Counter()
-    within: Counter[str] = Counter()
-    averaged = 0
+    every, averaged = [], 0
     print("motor  rate     lines  edge a sample  mean verdict        R, L, ke, J off by so many sd")
     for number in range(args.count):
         one, began = world(args.seed, number), time.process_time()
         found = diagnose(one.file, [one.recording])
-        values, sd = found.base.fit.model.values(), found.base.fit.sd()
-        off = {key: (values[key] - one.truth[key]) / sd[key] for key in STATED}
-        said, mean = settle(found).kind, found.base.runs[0].mean_speed
-        verdicts[said] += 1
+        every.append(told(found, one.truth, STATED))
+        mean = found.base.runs[0].mean_speed
         averaged += mean
-        within.update(key for key in STATED if abs(off[key]) <= 2)
         edge = 2 * np.pi / (EDGES * one.lines) * one.rate_Hz
-        off_by = " ".join(f"{off[key]:6.1f}" for key in STATED)
         print(
-            f"{one.motor:6s} {one.rate_Hz:4.0f} Hz {one.lines:5d} {edge:8.3g} rad/s  {'yes' if mean else 'no':4s} {said:12s}"
-            f" {off_by}  {time.process_time() - began:4.0f} s",
+            f"{one.motor:6s} {one.rate_Hz:4.0f} Hz {one.lines:5d} {edge:8.3g} rad/s  {'yes' if mean else 'no':4s}"
+            f" {every[-1].row}  {time.process_time() - began:4.0f} s",
             flush=True,
         )
-    print("verdicts: " + ", ".join(f"{word} {count}" for word, count in verdicts.most_common()))
-    print(f"something said to be missing: {Rate(args.count - verdicts['adequate'], args.count)}")
+    print(verdicts(every))
     print(f"speed taken as a mean: {Rate(averaged, args.count)}")
-    for key in STATED:
-        print(f"{key:5s} within 2 sd of the truth: {Rate(within[key], args.count)}")
+    print(coverage(every))
     return 0
 
 
