@@ -7,10 +7,11 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL
 
 from motorlens_physics.estimate.converter import lasting_error, quantisation_step, saturated
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.notes import notes_of
+from motorlens_physics.estimate.run import prepare_all, prepare_to_fit
 from motorlens_physics.estimate.signals import noise_sd, smoothed
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 
@@ -124,3 +125,37 @@ def test_a_current_that_never_leaves_one_reading_is_as_coarse_as_it_is_elsewhere
     assert found.converged and abs(value - 3.0) < 3.5 * sd and 0.003 < sd < 0.1
     # Alone, no step is known.
     assert prepare_all(files[:1], file)[0].steps[c] == 0
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(
+    ("seed", "levels", "word"), [(1, 1, "never changes"), (2, 2, "one step of its converter, 0.6 A")]
+)
+def test_a_current_within_a_step_of_its_converter_tells_nothing_of_the_motor(seed, levels, word):
+    """A motor that creeps, by an integrator of its own; with that current its resistance would be far off."""
+    rng, samples, step = np.random.default_rng(seed), 6000, 0.6
+    motor = TYPICAL | {"L": 0.0034}
+    time = 0.002 * np.arange(samples)
+    volts = np.interp(time, np.arange(13.0), rng.uniform(-3, 3, 13))
+    states = plain_motor.simulated(
+        motor, volts, np.zeros(samples), plain_motor.Test(0.002, samples, 1, False, 0.0)
+    )
+    noise = rng.standard_normal((samples, 3))
+    channels = {
+        "voltage": volts + 0.0025 * RATED["voltage"] * noise[:, 0],
+        "current": np.round((states[:, 0] + 0.004 * RATED["current"] * noise[:, 1]) / step) * step + 0.0,
+        "speed": states[:, 1] + 0.0025 * RATED["speed"] * noise[:, 2],
+    }
+    known = {key: Knowledge(0.115 * value, "plate") for key, value in motor.items()}
+    file = MotorFile("plate", Motor(**motor), PLATE, knowledge=known)
+    recording = Recording("creeping", time, channels)
+    assert len(np.unique(channels["current"])) == levels
+    (note,) = notes_of(*prepare_to_fit([recording], file))
+    assert word in note
+    off = []
+    for prepared in (prepare_to_fit, prepare_all):
+        found = estimate(file, prepared([recording], file))
+        value, sd = found.fit.model.values(), found.fit.sd()
+        off.append(max(abs(value[key] - motor[key]) / sd[key] for key in ("R_a0", "ke", "J")))
+    assert off[0] < 3.0 and off[1] > 4.0, off
+    assert 0.05 < sd["R_a0"] / motor["R_a0"] < 0.12

@@ -18,7 +18,6 @@ from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensitivity import Linearisation
-from motorlens_workbench.hypotheses.dead_channels import left_out
 
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
@@ -114,7 +113,7 @@ def test_a_run_without_the_speed_of_its_angle_shows_no_mean() -> None:
     file = MotorFile("plate", Motor(), PLATE)
     whole = prepare(counted, file)
     assert whole.mean_speed and whole.from_angle and "speed" in whole.channels
-    for run in (prepare(counted, file, ("current",)), prepare(turned, file), left_out(whole, "speed")):
+    for run in (prepare(counted, file, ("current",)), prepare(turned, file), whole.without_channel("speed")):
         assert run.channels == ("current",) and not run.mean_speed and not run.from_angle
         predict(start_model(file, [run]), run, 0)
 

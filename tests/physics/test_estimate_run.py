@@ -11,6 +11,7 @@ from motorlens_physics.effect import catalogue
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.model import predict, through_sensors
+from motorlens_physics.estimate.notes import notes_of
 from motorlens_physics.estimate.readings import largest_offset
 from motorlens_physics.estimate.run import prepare, prepare_all
 from motorlens_physics.motor_file import read_motor_file
@@ -186,7 +187,8 @@ def test_samples_that_are_no_new_readings_are_left_out_and_the_motor_is_found_as
     assert np.array_equal(run.there, bare.there) and np.array_equal(run.valid, bare.valid)
     assert np.array_equal(run.measured[run.valid], bare.measured[bare.valid])
     assert dict(run.repeats) == {"speed": int(np.sum(~fresh))} and not bare.repeats
-    assert f"{np.sum(~fresh)} samples of speed are the one before again" in run.repetition
+    (note,) = notes_of(run)
+    assert f"{np.sum(~fresh)} samples of speed are the one before again" in note
 
 
 @pytest.mark.parametrize("kind", ["rounded to three digits", "counted", "at rest", "a converter's levels"])

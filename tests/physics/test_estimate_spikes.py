@@ -6,6 +6,7 @@ from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.notes import notes_of
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
@@ -57,9 +58,8 @@ def test_samples_that_stand_alone_are_left_out_and_no_others(late: int) -> None:
 
     (run,), (before,) = found.runs, clean.runs
     assert dict(before.spikes) == {} and dict(run.spikes) == dict.fromkeys(CHANNELS, 15)
-    assert (
-        "15 samples of voltage and 15 samples of current and 15 samples of speed stand alone" in run.spiking
-    )
+    (note,) = notes_of(run)
+    assert "15 samples of voltage and 15 samples of current and 15 samples of speed stand alone" in note
     # Also as it was recorded, before the speed was moved.
     recorded = run.as_recorded
     assert run.late == ({"speed": late} if late else {})

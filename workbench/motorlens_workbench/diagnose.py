@@ -57,7 +57,7 @@ def diagnose(
     if dead:
         say(f"leaving out {', '.join(f'{one.channel} of {one.recording} ({one.state})' for one in dead)}")
     say("estimating the motor")
-    base = estimate(file, without(runs, dead))
+    base = estimate(file, [run.without_coarse() for run in without(runs, dead)])
     return Finding(base, contest(fitted_of(base), own, say), dead)
 
 

@@ -13,7 +13,7 @@ from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
 from motorlens_physics.estimate.prior import FITTED, base_prior, nuisance_prior, stated
 from motorlens_physics.estimate.report import findings
-from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.run import Run, prepare_to_fit
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
@@ -104,7 +104,7 @@ def add(
             raise DataError(f"{name} is named twice")
         if any(part.name() == name for part in parts_of(file)):
             raise DataError(f"{name} is in the motor file already; --remove takes it out")
-    runs = prepare_all(recordings, file)
+    runs = prepare_to_fit(recordings, file)
     rungs = []
     lower = _stripped(file)
     before = [part.name() for part in parts_of(file) if not _imposed(file, part.name())]
@@ -201,7 +201,7 @@ def remove(
     for name in names:
         if not any(part.name() == name for part in parts_of(file)):
             raise DataError(f"{name} is not in the motor file")
-    runs = prepare_all(recordings, file)
+    runs = prepare_to_fit(recordings, file)
     say("fitting the motor file as it is")
     with_it, better = _rung(" and ".join(names), file, runs, judge, differing)
     effects = tuple(effect for effect in file.motor.effects if effect.name() not in names)
@@ -296,7 +296,7 @@ def judged(
     """
     squares: dict[str, list[Array]] = {}
     for recording in recordings:
-        runs = prepare_all([recording], file)
+        runs = prepare_to_fit([recording], file)
         if differing:
             prior = base_prior(file, runs)
             unknown = [key for key in differing if key not in prior.sd]

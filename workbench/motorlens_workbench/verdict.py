@@ -8,6 +8,7 @@ from scipy.special import expit
 
 from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.notes import notes_of
 from motorlens_physics.estimate.prior import RELATIVE_SD
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import UNIT_OF
@@ -316,12 +317,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         offered: these and what they cannot be told from: the verdict speaks of them.
     """
     said = [one.sentence for one in found.dead]
-    said += [run.saturation for run in found.runs if run.saturated]
-    said += [run.averaging for run in found.runs if run.mean_speed and not run.from_angle]
-    said += [run.asynchronous for run in found.runs if run.asynchronous]
-    said += [run.repetition for run in found.runs if run.repeats]
-    said += [run.humming for run in found.runs if run.hum]
-    said += [run.spiking for run in found.runs if run.spikes]
+    said += [note for run in found.runs for note in notes_of(run)]
     lags = [times for name, times in found.outcome.judged.items() if name.endswith("_sensor_lag")]
     refused_lag = bool(lags) and max(lags) < 1.0
     said += [

@@ -14,6 +14,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from motorlens_physics.command_inputs import add_input_arguments
+from motorlens_physics.estimate.notes import notes_of
 from motorlens_runtime.cli import add_json_argument, write_json
 
 if TYPE_CHECKING:
@@ -101,12 +102,7 @@ def _lines(found: "Calibration") -> list[str]:
         for key in said.told
     ]
     lines += said.sentences
-    lines += [run.saturation for run in found.runs if run.saturated]
-    lines += [run.averaging for run in found.runs if run.mean_speed and not run.from_angle]
-    lines += [run.asynchronous for run in found.runs if run.asynchronous]
-    lines += [run.repetition for run in found.runs if run.repeats]
-    lines += [run.humming for run in found.runs if run.hum]
-    lines += [run.spiking for run in found.runs if run.spikes]
+    lines += [note for run in found.runs for note in notes_of(run)]
     lines += [delay.sentence for delay in found.delays]
     lines += found.not_told
     for run, sizes in zip(found.runs, found.residual_sd, strict=True):

@@ -19,7 +19,7 @@ from motorlens_physics.estimate.prior import (
     stated,
 )
 from motorlens_physics.estimate.report import Findings, correlation, findings
-from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.run import Run, prepare_to_fit
 from motorlens_physics.estimate.weighed import CHANCE
 from motorlens_physics.make import believed, led_away, of_recordings
 from motorlens_physics.motor_file import Knowledge, MotorFile
@@ -178,7 +178,7 @@ def calibrate(
         raise ModelError("calibration needs at least one recording")
     away = led_away(file, sum(float(recording.time_s[-1] - recording.time_s[0]) for recording in recordings))
     known_before, file = file, of_recordings(file, away)
-    runs = prepare_all(recordings, file)
+    runs = prepare_to_fit(recordings, file)
     names = ", ".join(recording.name for recording in recordings)
     if not any(run.moves for run in runs):
         raise DataError(f"{names}: nothing can be told; no current, speed or temperature ever changes")

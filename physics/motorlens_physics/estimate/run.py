@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 STATE_OF = {"current": "i", "speed": "w", "temperature": "theta"}
 UNIT_OF = {"current": "A", "speed": "rad/s", "temperature": "degC", "voltage": "V", "load_torque": "N*m"}
 ROWS = 30_000
+# From the next lower level to the next higher one, in steps of a converter, with room for rounding.
+WITHIN = 2.5
 # Levels up to the largest value below which these are no converter's, but steps of a command.
 COARSEST = 32
 # Noise, in steps, from which on levels are a converter's.
@@ -82,6 +84,7 @@ class Run:
         unmoved: the run before its channels were moved; None if none was.
         mean_speed: whether the speed shows its mean since the sample before, as one that is counted from an encoder does.
         from_angle: whether it was computed from the angle: then it certainly does.
+        coarse: channel -> the step of its converter that it stays within, and was left out for, see `without_coarse`.
     """
 
     name: str
@@ -112,6 +115,7 @@ class Run:
     unmoved: "Run | None" = None
     mean_speed: bool = False
     from_angle: bool = False
+    coarse: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.measured) // self.every
@@ -250,50 +254,40 @@ class Run:
             unmoved=unmoved,
         )
 
-    @property
-    def humming(self) -> str:
-        """Which lines were taken out, for the reader."""
-        told = " and ".join(
-            f"{amplitude:.2g} {UNIT_OF[channel]} at {frequency:.5g} Hz out of the {channel}"
-            for (channel, frequency), amplitude in self.hum.items()
-        )
-        return f"{self.name}: hum of the mains was taken out, {told}."
-
-    @property
-    def repetition(self) -> str:
-        """Which samples were left out because they are no new readings, for the reader."""
-        told = " and ".join(f"{count} samples of {name}" for name, count in self.repeats.items())
-        return f"{self.name}: {told} are the one before again, to all digits: no new readings; they were left out."
-
-    @property
-    def spiking(self) -> str:
-        """Which samples were left out because they stand alone, for the reader."""
-        told = " and ".join(f"{count} samples of {name}" for name, count in self.spikes.items())
-        return f"{self.name}: {told} stand alone, as no motor makes or follows them; they were left out."
-
-    @property
-    def saturation(self) -> str:
-        """Which channels reach the end of their converter's range, for the reader."""
-        told = " and ".join(f"{count} samples of {channel}" for channel, count in self.saturated.items())
-        return f"{self.name}: {told} lie at the end of the converter's range; they were left out."
-
-    @property
-    def averaging(self) -> str:
-        """That its speed is a mean, for the reader."""
-        return (
-            f"{self.name}: each speed is taken as the mean since the sample before, as one that is counted from an encoder "
-            "is; the recording is likelier so."
+    def without_channel(self, channel: str) -> "Run":
+        """Without one of its channels."""
+        keep = [c for c, name in enumerate(self.channels) if name != channel]
+        return replace(
+            self,
+            channels=tuple(self.channels[c] for c in keep),
+            measured=self.measured[:, keep],
+            floor=self.floor[keep],
+            there=self.there[:, keep],
+            steps=self.steps[keep],
+            valid=np.all(self.there[:, keep], axis=1),
+            noise=None,
+            mean_speed=self.mean_speed and channel != "speed",
+            from_angle=self.from_angle and channel != "speed",
         )
 
-    @property
-    def asynchronous(self) -> str:
-        """That its voltage changes between samples, for the reader; "" if it does not."""
-        if self.noise is None or not self.noise.between:
-            return ""
-        return (
-            f"{self.name}: the voltage changes at any moment between two samples, and not at one of them: of what follows a "
-            "change that tells of the motor which its moment does not; the recording is likelier so."
-        )
+    def without_coarse(self) -> "Run":
+        """Without a current that goes no further from one level of its converter than to the next, where the speed tells.
+
+        Noise of a voltage stirs the simulated current at once. A reading is off by anything up to half a step, whatever that
+        noise does, unless the current stays where one level goes on: then it is off by just what the noise has stirred, and
+        a motor is likeliest that is stirred less, of several times the resistance.
+        """
+        if not {"current", "speed"} <= set(self.channels):
+            return self
+        current, speed = (self.channels.index(channel) for channel in ("current", "speed"))
+        if self._goes_on(current) or not self._goes_on(speed):
+            return self
+        return replace(self.without_channel("current"), coarse={"current": float(self.steps[current])})
+
+    def _goes_on(self, c: int) -> bool:
+        """Whether a channel goes further than from one level of its converter to the next."""
+        told = self.measured[self.there[:, c], c]
+        return len(told) > 0 and float(np.ptp(told)) > WITHIN * float(self.steps[c])
 
     def part(self, rows: slice, file: MotorFile) -> "Run":
         """Some consecutive samples as a run of its own, as they are: none is averaged with another."""
@@ -433,6 +427,11 @@ def prepare_all(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, 
     return tuple(
         replace(run, turns=run.angle is not None if measured else run is finest and fine) for run in runs
     )
+
+
+def prepare_to_fit(recordings: Sequence[Recording], file: MotorFile) -> tuple[Run, ...]:
+    """Make recordings of one motor ready for a fit of it: see `prepare_all`, and `Run.without_coarse`."""
+    return tuple(run.without_coarse() for run in prepare_all(recordings, file))
 
 
 def _with_steps_of_others(runs: Sequence[Run]) -> list[Run]:

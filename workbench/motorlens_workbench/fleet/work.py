@@ -16,7 +16,7 @@ from motorlens_physics.estimate.estimate import Estimate, beside, estimate
 from motorlens_physics.estimate.free_run import free_runs, free_runs_of
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.report import findings
-from motorlens_physics.estimate.run import UNIT_OF, prepare_all
+from motorlens_physics.estimate.run import UNIT_OF, prepare_to_fit
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.ranges import within
 from motorlens_physics.recording import Recording, read_recording
@@ -111,7 +111,7 @@ class Again:
     def result(self) -> dict[str, Any]:
         """The parabola there; only what belongs to the recording alone, its start and its noise, is fitted."""
         file = self.job.file
-        runs = prepare_all([self.job.recording()], file)
+        runs = prepare_to_fit([self.job.recording()], file)
         prior = base_prior(file, runs)
         end = {**self.before["end"], "values": {**self.before["end"]["values"], **self.values}}
         own = prior.only([key for key in prior.keys if "@" in key])
@@ -153,7 +153,7 @@ def analysed(job: Task) -> dict[str, Any]:
 def _fitted(job: Job) -> dict[str, Any]:
     file = job.file
     recording = job.recording()
-    runs = prepare_all([recording], file)
+    runs = prepare_to_fit([recording], file)
     run = runs[0]
     if not any(
         np.ptp(run.measured[run.there[:, c], c]) > 0

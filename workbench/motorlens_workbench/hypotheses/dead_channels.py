@@ -124,29 +124,12 @@ def without(runs: Sequence[Run], dead: Sequence[DeadChannel]) -> tuple[Run, ...]
     kept = list(runs)
     for one in dead:
         if one.hung is None:
-            kept[one.run] = left_out(kept[one.run], one.channel)
+            kept[one.run] = kept[one.run].without_channel(one.channel)
     return tuple(kept)
 
 
-def left_out(run: Run, channel: str) -> Run:
-    """A run without one of its channels."""
-    keep = [c for c, name in enumerate(run.channels) if name != channel]
-    return replace(
-        run,
-        channels=tuple(run.channels[c] for c in keep),
-        measured=run.measured[:, keep],
-        floor=run.floor[keep],
-        there=run.there[:, keep],
-        steps=run.steps[keep],
-        valid=np.all(run.there[:, keep], axis=1),
-        noise=None,
-        mean_speed=run.mean_speed and channel != "speed",
-        from_angle=run.from_angle and channel != "speed",
-    )
-
-
 def _judge(file: MotorFile, run: Run, r: int, channel: str) -> DeadChannel | None:
-    others = left_out(run, channel)
+    others = run.without_channel(channel)
     try:
         found = estimate(file, [others])
         alone, moved = found.fit, found.runs[0]
