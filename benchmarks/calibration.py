@@ -29,9 +29,9 @@ sys.path = [str(HERE.parent / "tests"), *(p for p in sys.path if Path(p).resolve
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, Test, recorded, scattered  # noqa: E402
 
 from motorlens_physics.estimate.estimate import Estimate, estimate  # noqa: E402
+from motorlens_physics.estimate.prepare import prepare_all  # noqa: E402
 from motorlens_physics.estimate.prior import base_prior  # noqa: E402
 from motorlens_physics.estimate.report import findings  # noqa: E402
-from motorlens_physics.estimate.run import prepare_all  # noqa: E402
 from motorlens_physics.motor import Motor  # noqa: E402
 from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file  # noqa: E402
 from motorlens_physics.parameter import Rated  # noqa: E402

@@ -29,8 +29,8 @@ from calibration import FILE, wilson  # noqa: E402
 from helpers.plain_motor import AMBIENT_C, RATED, Test, scattered, simulated  # noqa: E402
 
 from motorlens_physics.estimate.estimate import estimate  # noqa: E402
+from motorlens_physics.estimate.prepare import prepare_all  # noqa: E402
 from motorlens_physics.estimate.report import findings  # noqa: E402
-from motorlens_physics.estimate.run import prepare_all  # noqa: E402
 from motorlens_physics.recording import Recording  # noqa: E402
 
 Array = NDArray[np.float64]

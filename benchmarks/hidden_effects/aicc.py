@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
 from motorlens_physics.threads import on_all_cores

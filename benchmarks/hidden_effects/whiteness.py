@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
 

@@ -9,7 +9,7 @@ from helpers.plain_motor import AMBIENT_C, RATED
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.noise import LOAD
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
 from motorlens_workbench.fleet import summary

@@ -4,7 +4,7 @@ That no name which imitates it takes its place is asked in `test_diagnose`, and 
 """
 
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_workbench.contest.bayes_factor import simplest

@@ -9,7 +9,7 @@ import numpy as np
 from helpers.hidden import Case, generate_experiment
 
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
 from motorlens_workbench.diagnose import fitted_of

@@ -8,7 +8,7 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 from motorlens_physics.estimate import between_samples
 from motorlens_physics.estimate.between_samples import as_they_ran, otherwise
 from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.weighed import weighed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile

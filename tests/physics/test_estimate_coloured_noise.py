@@ -15,8 +15,9 @@ from motorlens_physics.estimate import between_samples
 from motorlens_physics.estimate.estimate import Estimate, estimate, near, whole
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.noise import TORQUE, VOLTAGE
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.prior import base_prior
-from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file
 from motorlens_physics.parameter import Rated

@@ -5,8 +5,8 @@ import pytest
 
 from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.prepare import prepare, prepare_all
 from motorlens_physics.estimate.report import findings
-from motorlens_physics.estimate.run import prepare, prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated

@@ -8,7 +8,7 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL
 from motorlens_physics.estimate.converter import lasting_error, quantisation_step, saturated
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.notes import notes_of
-from motorlens_physics.estimate.run import prepare_all, prepare_to_fit
+from motorlens_physics.estimate.prepare import prepare_all, prepare_to_fit
 from motorlens_physics.estimate.signals import noise_sd, smoothed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile

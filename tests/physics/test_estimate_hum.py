@@ -7,8 +7,8 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.notes import notes_of
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.prior import base_prior
-from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated

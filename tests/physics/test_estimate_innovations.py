@@ -19,7 +19,7 @@ from motorlens_physics.estimate.innovations import (
 from motorlens_physics.estimate.model import sensitivities_of
 from motorlens_physics.estimate.noise import first_noise
 from motorlens_physics.estimate.noise_likelihood import likelier
-from motorlens_physics.estimate.run import prepare
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated

@@ -12,7 +12,7 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.mean_speed import mean_of
 from motorlens_physics.estimate.model import predict, sensitivities_of
-from motorlens_physics.estimate.run import prepare, prepare_all
+from motorlens_physics.estimate.prepare import prepare, prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated

@@ -11,8 +11,9 @@ from motorlens_physics.estimate import estimate as estimation
 from motorlens_physics.estimate.estimate import Estimate, estimate, near, one_step_ahead
 from motorlens_physics.estimate.fit import minimise, start_model
 from motorlens_physics.estimate.pieces import as_found
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.prior import base_prior
-from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import at, first_point
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile

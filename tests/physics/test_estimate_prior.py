@@ -8,9 +8,9 @@ from scipy.stats import gamma, norm
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.report import findings
-from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile, voltage_commanded
 from motorlens_physics.parameter import Rated

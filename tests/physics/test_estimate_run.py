@@ -12,8 +12,8 @@ from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.model import predict, through_sensors
 from motorlens_physics.estimate.notes import notes_of
+from motorlens_physics.estimate.prepare import prepare, prepare_all
 from motorlens_physics.estimate.readings import largest_offset
-from motorlens_physics.estimate.run import prepare, prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensor_model import sensor_catalogue

@@ -16,7 +16,7 @@ from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.forcing import between_samples
 from motorlens_physics.estimate.model import predict, sensitivities_of, with_effect
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.shaft import followed
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.ops import cos, exp

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.noise import TORQUE
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated

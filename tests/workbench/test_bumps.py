@@ -8,7 +8,7 @@ from helpers.changing import MOTOR, drive
 from helpers.nameless import nameless
 
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.diagnose import diagnose, fitted_of

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.estimate.noise import first_noise
-from motorlens_physics.estimate.run import prepare
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.evidence.colour import coloured, gain_of

@@ -7,7 +7,7 @@ import pytest
 
 from motorlens_physics.estimate.calibrate import calibrate
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate

@@ -6,7 +6,7 @@ from helpers.changing import MOTOR, drive, textbook
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
-from motorlens_physics.estimate.run import prepare
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_workbench.hypotheses.contact import contacts, robust

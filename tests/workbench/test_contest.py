@@ -10,8 +10,8 @@ from scipy.stats import gumbel_r
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.model import with_sensor
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.prior import part_prior
-from motorlens_physics.estimate.run import prepare_all
 from motorlens_physics.motor_file import read_motor_file, with_overrides
 from motorlens_physics.recording import Recording
 from motorlens_physics.sensor_model import sensor_catalogue

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.recordings import needs_recordings, regbot
 
-from motorlens_physics.estimate.run import prepare
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.simulation import Inputs, simulate

@@ -8,8 +8,8 @@ import pytest
 
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.model import predict
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.estimate.prior import base_prior
-from motorlens_physics.estimate.run import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError

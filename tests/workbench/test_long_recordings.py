@@ -8,7 +8,7 @@ import pytest
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.free_run import FreeRun
 from motorlens_physics.estimate.model import predict
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.cli import main

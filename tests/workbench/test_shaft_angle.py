@@ -9,7 +9,7 @@ import pytest
 from motorlens_physics.effect import catalogue
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.forcing import forcing
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate

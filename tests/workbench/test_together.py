@@ -8,7 +8,7 @@ from helpers.hidden import plant
 from helpers.hidden.motors import MOTORS
 
 from motorlens_physics.estimate.estimate import estimate
-from motorlens_physics.estimate.run import prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor_file import MotorFile, read_motor_file, voltage_commanded
 from motorlens_physics.recording import Recording
 from motorlens_workbench.contest import together

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_workbench.contest.contest import Outcome, contest

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.estimate.prior import base_prior
-from motorlens_physics.estimate.run import STATE_OF, Run, prepare
+from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.scenario import perform, scenarios
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
 from motorlens_runtime.errors import MotorlensError

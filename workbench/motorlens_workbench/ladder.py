@@ -11,9 +11,10 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
+from motorlens_physics.estimate.prepare import prepare_to_fit
 from motorlens_physics.estimate.prior import FITTED, base_prior, nuisance_prior, stated
 from motorlens_physics.estimate.report import findings
-from motorlens_physics.estimate.run import Run, prepare_to_fit
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.delays import Delay, delays_of
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.prepare import prepare_to_fit
 from motorlens_physics.estimate.prior import (
     CALIBRATED,
     Prior,
@@ -19,7 +20,7 @@ from motorlens_physics.estimate.prior import (
     stated,
 )
 from motorlens_physics.estimate.report import Findings, correlation, findings
-from motorlens_physics.estimate.run import Run, prepare_to_fit
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import CHANCE
 from motorlens_physics.make import believed, led_away, of_recordings
 from motorlens_physics.motor_file import Knowledge, MotorFile

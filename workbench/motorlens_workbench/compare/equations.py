@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.conditions import Shaft, Terminal
 from motorlens_physics.estimate.model import Model
-from motorlens_physics.estimate.run import prepare
+from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.recording import Recording
 from motorlens_workbench.balances import EQUATIONS
 from motorlens_workbench.compare.long_recordings import block, is_long, means

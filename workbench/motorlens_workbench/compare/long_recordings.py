@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.free_run import FreeRun, free_runs
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.pieces import as_found
-from motorlens_physics.estimate.run import Run, prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
+from motorlens_physics.estimate.run import Run
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.recording import Recording
 from motorlens_runtime.files.words import WORDS
@@ -56,7 +57,7 @@ def beside(
     """The motor file beside all samples of recordings, nothing of the motor fitted.
 
     Raises:
-        DataError: see `run.prepare`.
+        DataError: see `prepare.prepare`.
         ModelError: the motor cannot be simulated on one of them.
     """
     long = [r for r, recording in enumerate(recordings) if is_long(recording)]

@@ -14,9 +14,10 @@ import numpy as np
 
 from motorlens_physics.estimate.estimate import Estimate, beside, estimate
 from motorlens_physics.estimate.free_run import free_runs, free_runs_of
+from motorlens_physics.estimate.prepare import prepare_to_fit
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.report import findings
-from motorlens_physics.estimate.run import UNIT_OF, prepare_to_fit
+from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.ranges import within
 from motorlens_physics.recording import Recording, read_recording

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from motorlens_physics.estimate.free_run import free_runs
-from motorlens_physics.estimate.run import UNIT_OF, prepare_all
+from motorlens_physics.estimate.prepare import prepare_all
+from motorlens_physics.estimate.run import UNIT_OF
 from motorlens_physics.recording import Recording
 from motorlens_workbench.ladder import Ladder
 from motorlens_workbench.report.json import risen
