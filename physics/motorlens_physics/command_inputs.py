@@ -138,12 +138,10 @@ def reading_words(arguments: argparse.Namespace) -> list[str]:
 
 def print_notes(recordings: "Sequence[Recording]") -> None:
     """What was found while reading, one line each; what holds for several recordings is said once."""
-    names: dict[str, list[str]] = {}
-    for recording in recordings:
-        for note in recording.notes:
-            names.setdefault(note, []).append(recording.name)
-    for note, (first, *more) in names.items():
-        print(f"{first}{f' and {len(more)} more' if more else ''}: {note}")
+    from motorlens_physics.recording import said_once
+
+    for line in said_once((recording.name, note) for recording in recordings for note in recording.notes):
+        print(line)
 
 
 def no_values(texts: Sequence[str] | None) -> tuple[float, ...] | None:

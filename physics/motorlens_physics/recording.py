@@ -96,6 +96,20 @@ class Recording:
         return replace(self, time_s=self.time_s[rows], channels=channels, computed=computed)
 
 
+def said_once(notes: Iterable[tuple[str, str]]) -> list[str]:
+    """Notes on recordings, each by its name; what holds for several is said of the first and how many more.
+
+    >>> said_once([("one.csv", "short"), ("two.csv", "short"), ("two.csv", "noisy")])
+    ['one.csv and 1 more: short', 'two.csv: noisy']
+    """
+    names: dict[str, list[str]] = {}
+    for name, note in notes:
+        names.setdefault(note, []).append(name)
+    return [
+        f"{first}{f' and {len(more)} more' if more else ''}: {note}" for note, (first, *more) in names.items()
+    ]
+
+
 def read_recording(
     path: Path | str,
     mapping: Mapping[str, str] | Sequence[str] = (),

@@ -150,7 +150,7 @@ def test_a_current_within_a_step_of_its_converter_tells_nothing_of_the_motor(see
     file = MotorFile("plate", Motor(**motor), PLATE, knowledge=known)
     recording = Recording("creeping", time, channels)
     assert len(np.unique(channels["current"])) == levels
-    (note,) = notes_of(*prepare_to_fit([recording], file))
+    (note,) = notes_of(prepare_to_fit([recording], file))
     assert word in note
     off = []
     for prepared in (prepare_to_fit, prepare_all):

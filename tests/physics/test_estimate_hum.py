@@ -66,7 +66,7 @@ def test_hum_is_found_and_taken_out(rate_Hz: float, lines: dict[tuple[str, float
         assert amplitude == pytest.approx(share * RATED[name], rel=0.05)
         left = run.measured[:, run.channels.index(name)] - clean[name]
         assert np.std(left) < 0.2 * NOISE * RATED[name]
-        assert any(f"Hz out of the {name}" in note for note in notes_of(run))
+        assert any(f"Hz out of the {name}" in note for note in notes_of([run]))
 
 
 @pytest.mark.fit

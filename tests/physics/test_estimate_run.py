@@ -187,8 +187,11 @@ def test_samples_that_are_no_new_readings_are_left_out_and_the_motor_is_found_as
     assert np.array_equal(run.there, bare.there) and np.array_equal(run.valid, bare.valid)
     assert np.array_equal(run.measured[run.valid], bare.measured[bare.valid])
     assert dict(run.repeats) == {"speed": int(np.sum(~fresh))} and not bare.repeats
-    (note,) = notes_of(run)
-    assert f"{np.sum(~fresh)} samples of speed are the one before again" in note
+    (note,) = notes_of([run])
+    assert (
+        f"the one before again to all digits and so no new readings: {np.sum(~fresh)} samples of speed"
+        in note
+    )
 
 
 @pytest.mark.parametrize("kind", ["rounded to three digits", "counted", "at rest", "a converter's levels"])

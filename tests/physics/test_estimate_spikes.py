@@ -58,8 +58,8 @@ def test_samples_that_stand_alone_are_left_out_and_no_others(late: int) -> None:
 
     (run,), (before,) = found.runs, clean.runs
     assert dict(before.spikes) == {} and dict(run.spikes) == dict.fromkeys(CHANNELS, 15)
-    (note,) = notes_of(run)
-    assert "15 samples of voltage and 15 samples of current and 15 samples of speed stand alone" in note
+    (note,) = notes_of([run])
+    assert "15 samples of voltage and 15 samples of current and 15 samples of speed" in note
     # Also as it was recorded, before the speed was moved.
     recorded = run.as_recorded
     assert run.late == ({"speed": late} if late else {})

@@ -317,7 +317,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         offered: these and what they cannot be told from: the verdict speaks of them.
     """
     said = [one.sentence for one in found.dead]
-    said += [note for run in found.runs for note in notes_of(run)]
+    said += notes_of(found.runs)
     lags = [times for name, times in found.outcome.judged.items() if name.endswith("_sensor_lag")]
     refused_lag = bool(lags) and max(lags) < 1.0
     said += [

@@ -14,7 +14,6 @@ import argparse
 from typing import TYPE_CHECKING
 
 from motorlens_physics.command_inputs import add_input_arguments
-from motorlens_physics.estimate.notes import notes_of
 from motorlens_runtime.cli import add_json_argument, write_json
 
 if TYPE_CHECKING:
@@ -96,13 +95,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _lines(found: "Calibration") -> list[str]:
+    from motorlens_physics.estimate.notes import notes_of
+
     file, said = found.file, found.findings
     lines = [
         f"{key:32} {found.value[key]:12.6g} +- {found.sd[key]:.2g} {file.meaning(key).unit}"
         for key in said.told
     ]
     lines += said.sentences
-    lines += [note for run in found.runs for note in notes_of(run)]
+    lines += notes_of(found.runs)
     lines += [delay.sentence for delay in found.delays]
     lines += found.not_told
     for run, sizes in zip(found.runs, found.residual_sd, strict=True):

@@ -13,10 +13,11 @@ a voltage and a torque that hold, and to such that rise linearly from nought: th
 of which Phi(t) = exp(A t) and Q S^-1 = (A T)^-1 - (exp(A T) - 1)^-1.
 """
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from motorlens_physics.inputs import Inputs
@@ -140,11 +141,15 @@ def of_parameters(motor: Motor, inputs: Inputs, theta: Array, changes: Changes) 
     # A viscosity may be nought.
     steps = CHANGED * np.where(known > 0, known, motor.ke**2 / motor.R_a0)
     hotter = 1 + motor.alpha * theta[:-1]
+    volts, torque = _linear_changes(inputs)
     told = {}
     for k, (key, step) in enumerate(zip(KEYS, steps, strict=True)):
         up, down = known.copy(), known.copy()
         up[k], down[k] = known[k] + step, known[k] - step
-        after, before = (_textbook(values, inputs, hotter, changes) for values in (up, down))
+        after, before = (
+            _textbook(values, np.diff(inputs.time_s), hotter, volts, torque, changes.current, changes.speed)
+            for values in (up, down)
+        )
         told[key] = (after - before) / (2 * step)
     return told
 
@@ -163,36 +168,48 @@ def _linear_changes(inputs: Inputs) -> tuple[Array, Array]:
     return np.diff(inputs.voltage_V) * (not of_voltage), -np.diff(inputs.load_torque_Nm) * (not of_load)
 
 
-def _textbook(values: Sequence[float] | Array, inputs: Inputs, hotter: Array, changes: Changes) -> Array:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _textbook(values, T, hotter, volts, torque, current, speed):  # type: ignore[no-untyped-def]
     """(N - 1,) mean of the speed less that at the begin of each sample, of the textbook's motor.
 
     Args:
-        values: of `KEYS`.
-        inputs: what acts on it.
+        values: (5,) of `KEYS`.
+        T: (N - 1,) how long each sample lasts, s.
         hotter: (N - 1,) its resistance over that of `R_a0`.
-        changes: of its states.
+        volts, torque: (N - 1,) changes of what drives it where that runs linearly.
+        current, speed: (N - 1,) changes of its states.
     """
-    resistance, (_, L, ke, J, b) = values[0] * hotter, values
-    volts, torque = _linear_changes(inputs)
-    ramp = (ke * volts + resistance * torque) / (resistance * b + ke**2)
-    ramp_current = (b * ramp - torque) / ke
-    T = np.diff(inputs.time_s)
-    # The matrix A T, and a function of it as the line through its values at both rates.
-    ii, iw, wi, ww = -resistance / L * T, -ke / L * T, ke / J * T, -b / J * T
-    middle = 0.5 * (ii + ww)
-    half = np.sqrt(np.asarray(0.25 * (ii - ww) ** 2 + iw * wi, dtype=np.complex128))
-    half = np.where(np.abs(half) < APART, APART, half)
-    first, second = _share(np.asarray(middle + half)), _share(np.asarray(middle - half))
-    slope, level = np.real((first - second) / (2 * half)), np.real(0.5 * (first + second))
-    of_current, of_speed = slope * wi, level + slope * (ww - middle)
-    mean = of_current * (changes.current - ramp_current) + of_speed * (changes.speed - ramp) + 0.5 * ramp
-    return np.asarray(mean)
+    cold, L, ke, J, b = values
+    mean = np.empty(len(T))
+    for k in range(len(T)):
+        resistance = cold * hotter[k]
+        ramp = (ke * volts[k] + resistance * torque[k]) / (resistance * b + ke**2)
+        ramp_current = (b * ramp - torque[k]) / ke
+        # The matrix A T, and a function of it as the line through its values at both rates.
+        ii, iw, wi, ww = -resistance / L * T[k], -ke / L * T[k], ke / J * T[k], -b / J * T[k]
+        middle = 0.5 * (ii + ww)
+        square = 0.25 * (ii - ww) ** 2 + iw * wi
+        half = max(math.sqrt(abs(square)), APART)
+        if square < 0:
+            level, slope = _share(middle, half)
+            slope /= half
+        else:
+            (first, _), (second, _) = _share(middle + half, 0.0), _share(middle - half, 0.0)
+            level, slope = 0.5 * (first + second), 0.5 * (first - second) / half
+        of_current, of_speed = slope * wi, level + slope * (ww - middle)
+        mean[k] = of_current * (current[k] - ramp_current) + of_speed * (speed[k] - ramp) + 0.5 * ramp
+    return mean
 
 
-def _share(rate: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """1/x - 1/(exp(x) - 1), by its series where that cancels."""
-    near = np.abs(rate) < SERIES
-    small, large = np.where(near, rate, 0.0), np.where(near, 1.0, rate)
-    return np.where(
-        near, 0.5 - small / 12 + small**3 / 720 - small**5 / 30240, 1 / large - 1 / np.expm1(large)
-    )
+@njit(cache=True, nogil=True, error_model="numpy")
+def _share(x, y):  # type: ignore[no-untyped-def]
+    """1/z - 1/(exp(z) - 1) of z = x + y i, its real and its imaginary part; by its series where that cancels."""
+    if x * x + y * y < SERIES**2:
+        z = complex(x, y)
+        w = z * z
+        share = 0.5 - z * (1 / 12 - w * (1 / 720 - w / 30240))
+        return share.real, share.imag
+    # exp(z) - 1
+    real, imag = math.expm1(x) * math.cos(y) - 2 * math.sin(y / 2) ** 2, math.exp(x) * math.sin(y)
+    size, other = x * x + y * y, real * real + imag * imag
+    return x / size - real / other, imag / other - y / size

@@ -1,13 +1,14 @@
 """What was left out of a recording or taken otherwise than as recorded, in words that are the same in every command."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from motorlens_physics.estimate.run import UNIT_OF, Run
+from motorlens_physics.recording import said_once
 
 
-def notes_of(run: Run) -> list[str]:
-    """One sentence each, none if the recording was taken as it is."""
-    return [f"{run.name}: {note}" for note in (*_left_out(run), *_taken(run))]
+def notes_of(runs: Sequence[Run]) -> list[str]:
+    """One sentence each, none if the recordings were taken as they are."""
+    return said_once((run.name, note) for run in runs for note in (*_left_out(run), *_taken(run)))
 
 
 def _left_out(run: Run) -> list[str]:
@@ -20,15 +21,13 @@ def _left_out(run: Run) -> list[str]:
         )
         said.append(f"the {channel} {stays}: that tells of its sensor and not of the motor; it was left out.")
     if run.saturated:
-        said.append(f"{_counted(run.saturated)} lie at the end of the converter's range; they were left out.")
+        said.append(f"left out, at the end of the converter's range: {_counted(run.saturated)}.")
     if run.repeats:
         said.append(
-            f"{_counted(run.repeats)} are the one before again, to all digits: no new readings; they were left out."
+            f"left out, the one before again to all digits and so no new readings: {_counted(run.repeats)}."
         )
     if run.spikes:
-        said.append(
-            f"{_counted(run.spikes)} stand alone, as no motor makes or follows them; they were left out."
-        )
+        said.append(f"left out, alone as no motor makes or follows them: {_counted(run.spikes)}.")
     return said
 
 
@@ -54,4 +53,6 @@ def _taken(run: Run) -> list[str]:
 
 
 def _counted(samples: Mapping[str, int]) -> str:
-    return " and ".join(f"{count} samples of {name}" for name, count in samples.items())
+    return " and ".join(
+        f"{count} sample{'s' if count > 1 else ''} of {name}" for name, count in samples.items()
+    )
