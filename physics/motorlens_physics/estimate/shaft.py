@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 PIECE, LOUDER = 256, 2.0
 # A shaft slower than this share of its largest speed stands.
 STANDS = 0.01
+# Share of a period over which what goes with the angle is no more than a constant and a slope, as a spring's torque is.
+BENDS = 0.25
 
 
 def followed(run: Run, trajectory: Trajectory, shown: Array) -> Run:
@@ -68,3 +70,16 @@ def turning(angle: Array, speed_rad_s: Array, period: float) -> NDArray[np.bool_
     passage = np.searchsorted(ends, np.arange(len(way)))
     before, after = np.abs(angle - angle[begins[passage]]), np.abs(angle[ends[passage]] - angle)
     return np.asarray((way != 0) & (before >= period) & (after >= period))
+
+
+def swinging(angle: Array, period: float) -> NDArray[np.bool_]:
+    """(N,) whether the shaft moves, of one that goes to and fro over a part of a period, rad, as a joint or a pendulum does.
+
+    >>> angle = np.array([0.0, 1.0, 2.0, 2.0, 2.0, 1.0, 0.0])
+    >>> swinging(angle, 6.0).tolist()
+    [True, True, True, False, True, True, True]
+    >>> bool(swinging(angle, 1.9).any()), bool(swinging(angle, 9.0).any())
+    (False, False)
+    """
+    moves, range_ = np.abs(np.gradient(angle)), float(np.ptp(angle))
+    return np.asarray((moves > STANDS * np.max(moves)) & (BENDS * period <= range_ < period))

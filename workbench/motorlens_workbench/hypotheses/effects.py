@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.estimate.forcing import Forcing, forcing
-from motorlens_physics.estimate.shaft import turning
+from motorlens_physics.estimate.shaft import swinging, turning
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
@@ -50,7 +50,8 @@ class EffectShape:
         """(N, C, k) what the effect would change; nothing in a run whose angle is needed and not known.
 
         What goes with the angle is looked at while the shaft turns whole periods. At stops it is hardly more than a
-        constant, and friction passes for it.
+        constant, and friction passes for it. A shaft that never turns as far is looked at while it swings, if its angle was
+        measured: gravity on an arm, say.
         """
         angle = angle_of(type(self.parts[0]))
         if angle and (not line.run.turns or angle not in line.trajectory.states):
@@ -62,8 +63,11 @@ class EffectShape:
         if angle:
             count = count_of(type(self.parts[0]))
             period = 2 * np.pi / (getattr(self.parts[0], count) if count else 1.0)
-            moving = turning(line.trajectory.states[angle], line.trajectory.speed_rad_s, period)[:, None]
-            voltage, torque, heat = voltage * moving, torque * moving, heat * moving
+            shaft = line.trajectory.states[angle]
+            moving = turning(shaft, line.trajectory.speed_rad_s, period)
+            if line.run.angle is not None:
+                moving = moving | swinging(shaft, period)
+            voltage, torque, heat = (part * moving[:, None] for part in (voltage, torque, heat))
         return line.of_forcing(Forcing(voltage, torque, heat))
 
     def limits(self) -> tuple[float, float]:
