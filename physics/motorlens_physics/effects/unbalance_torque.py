@@ -25,7 +25,7 @@ class UnbalanceTorque(Effect):
     excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp",)
 
     A: float = param(
-        0.0, "N*m", "weight times eccentricity", bounds=(0.0, 1e3), prior=0.05, of="torque", null=0.0
+        0.0, "N*m", "weight times eccentricity", bounds=(0.0, 1e3), prior=0.02, of="torque", null=0.0
     )
     p: float = param(
         0.0, "rad", "angle of the heavy side at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase"

@@ -40,8 +40,9 @@ def _taken(run: Run) -> list[str]:
         )
     if run.noise is not None and run.noise.between:
         said.append(
-            "the voltage changes at any moment between two samples, and not at one of them: of what follows a change that "
-            "tells of the motor which its moment does not; the recording is likelier so."
+            "the voltage changes between samples, not at them, as the command of another program does. When within a sample "
+            "is not known: what follows a change tells of the motor only as far as that does not matter. The recording is "
+            "likelier so."
         )
     if run.hum:
         told = " and ".join(
