@@ -11,7 +11,7 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
-from motorlens_physics.estimate.prepare import prepare_to_fit
+from motorlens_physics.estimate.prepare import prepare_all, prepare_to_fit
 from motorlens_physics.estimate.prior import FITTED, base_prior, nuisance_prior, stated
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import Run
@@ -297,8 +297,8 @@ def judged(
     """
     squares: dict[str, list[Array]] = {}
     for recording in recordings:
-        runs = prepare_to_fit([recording], file)
         if differing:
+            runs = prepare_to_fit([recording], file)
             prior = base_prior(file, runs)
             unknown = [key for key in differing if key not in prior.sd]
             if unknown:
@@ -308,7 +308,7 @@ def judged(
             error = held_out_errors(*_book(fitted_of(found)))[0][found.runs[0].valid]
             channels = found.runs[0].channels
         else:
-            beside = free_runs(file, runs)[1][0]
+            beside = free_runs(file, prepare_all([recording], file))[1][0]
             error, channels = beside.error[beside.run.valid], beside.run.channels
         for c, channel in enumerate(channels):
             squares.setdefault(channel, []).append(error[:, c] ** 2)
