@@ -32,6 +32,7 @@ class Parameter:
         role: "phase" of the shaft's angle, "count" of periods a revolution, "width" of a transition that may be sharper than
             any recording tells, "onset" where one has built up, "knee" of how sharply it bends, which hardly shows until all
             else is right, "share" of an effect that may be left undone; "" for anything else.
+        largest: the largest size that is no wonder of nature, as a multiple of `of`; None: not known.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Parameter:
     null: float | None
     fixed: bool
     role: str = ""
+    largest: float | None = None
 
     def typical(self, rated: "Rated") -> float:
         """The typical value in `unit` for a motor of this rating plate, within the bounds.
@@ -104,6 +106,7 @@ def param(
     null: float | None = None,
     fixed: bool = False,
     role: str = "",
+    largest: float | None = None,
 ) -> Any:
     """Declare a parameter of a motor, an effect or a sensor model; see `Parameter` for the arguments."""
     meaning = {
@@ -115,7 +118,8 @@ def param(
         "of": of,
         "null": null,
     }
-    return dataclasses.field(default=default, metadata={_KEY: meaning | {"fixed": fixed, "role": role}})
+    meaning |= {"fixed": fixed, "role": role, "largest": largest}
+    return dataclasses.field(default=default, metadata={_KEY: meaning})
 
 
 def parameters(owner: Any) -> dict[str, Parameter]:

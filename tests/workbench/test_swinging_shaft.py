@@ -1,5 +1,7 @@
 """Gravity on an arm that never turns a whole revolution, from an integrator of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.plain_motor import RATED, TYPICAL
@@ -67,6 +69,24 @@ def test_gravity_on_an_arm_is_told_where_its_angle_is_measured(share: float) -> 
     values = fitted.model.values()
     assert values["unbalance_torque.A"] == pytest.approx(gravity_Nm, rel=0.03)
     assert values["unbalance_torque.p"] == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.fit
+def test_gravity_on_a_pendulum_is_found_where_a_wrong_motor_makes_up_for_it() -> None:
+    """Only its angle was measured, and its plate tells little: another motor, with another timing, swings as it does."""
+    rng = np.random.default_rng(6)
+    gravity_Nm = 1.2 * RATED["load_torque"]
+    volts = np.repeat(rng.uniform(-24, 24, SAMPLES // 100), 100)
+    angle = swung(gravity_Nm, 0.0, volts)[:, 2]
+    assert np.pi / 2 < np.ptp(angle) < 2 * np.pi
+    taken = slice(None, None, 5)
+    channels = {"voltage": volts[taken], "angle": (angle + 0.002 * rng.standard_normal(SAMPLES))[taken]}
+    known = {key: Knowledge((1.0 if key in ("L", "J", "b") else 0.1) * TYPICAL[key], "plate") for key in TYPICAL}
+    file = MotorFile("pendulum", replace(Motor(**TYPICAL), J=0.5 * TYPICAL["J"]), PLATE, knowledge=known)
+    found = diagnose(file, [Recording("pendulum", PERIOD_S * np.arange(SAMPLES)[taken], channels)])
+    verdict = settle(found)
+    print(verdict.kind, verdict.chosen, found.outcome.last.fitted.model.values())
+    assert "unbalance_torque" in verdict.chosen
 
 
 def _to_and_fro() -> np.ndarray:

@@ -13,6 +13,7 @@ from motorlens_physics.estimate.model import Model, with_effect, with_sensor, wi
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed, minimised, weighed
+from motorlens_physics.estimate.weighed import begun as first_noise_of
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.ledger import Beside
 from motorlens_workbench.evidence.score import Score
@@ -126,12 +127,25 @@ def _beginning(fitted: Fitted) -> tuple[Model, list[Run]]:
     return start_model(fitted.model.file.with_values(textbook), runs), runs
 
 
-def begun(fitted: Fitted, score: Score) -> Fitted:
-    """The model with a hypothesis at its typical size, not fitted."""
+def begun(fitted: Fitted, score: Score, sizes: Array | None = None) -> Fitted:
+    """The model with a hypothesis at some sizes (k,) of its columns, or at its typical size, not fitted."""
     shape = score.entry.shape
     assert isinstance(shape, EffectShape | SensorShape)
-    model, prior = _added(fitted, _part(shape, _typical(score)), moved={})
+    model, prior = _added(fitted, _part(shape, _typical(score) if sizes is None else sizes), moved={})
     return replace(fitted, model=model, prior=prior)
+
+
+def at_file(fitted: Fitted) -> Fitted:
+    """The model with the motor as its file has it, nothing fitted: its recordings as they were, with the noise there.
+
+    Raises:
+        ModelError: it cannot be simulated there.
+    """
+    model, runs = _beginning(fitted)
+    point = first_noise_of(model, runs, fitted.prior)
+    there = tuple(replace(part.run, noise=part.noise) for part in point.parts)
+    unsure = np.diag(fitted.prior.width(model.values()) ** 2)
+    return replace(fitted, model=model, runs=there, cost=point.cost, covariance=unsure)
 
 
 def _point(model: Model, prior: Prior, runs: Sequence[Run]) -> Weighed:

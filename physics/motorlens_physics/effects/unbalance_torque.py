@@ -14,7 +14,8 @@ class UnbalanceTorque(Effect):
     """Gravity on a rotor or load whose centre of mass is off the shaft: -A sin(phi + p), once a revolution.
 
     A = m g e with the unbalance m e of ISO 21940-11:2016, Procedures and tolerances for rotors with rigid behaviour.
-    The shaft angle starts with the heavy side down (phi = 0).
+    The shaft angle starts with the heavy side down (phi = 0). That of a rotor is small; a motor that swings an arm or a
+    pendulum may have as much of it as it can give for a short while, some three times its rated torque.
 
     >>> from types import SimpleNamespace as At
     >>> round(UnbalanceTorque(A=0.05, p=0.4).torque(None, At(phi=1.1), None), 6)  # 0.05 sin(1.5)
@@ -25,7 +26,14 @@ class UnbalanceTorque(Effect):
     excited_by: ClassVar[tuple[str, ...]] = ("slow_ramp",)
 
     A: float = param(
-        0.0, "N*m", "weight times eccentricity", bounds=(0.0, 1e3), prior=0.02, of="torque", null=0.0
+        0.0,
+        "N*m",
+        "weight times eccentricity",
+        bounds=(0.0, 1e3),
+        prior=0.02,
+        of="torque",
+        null=0.0,
+        largest=3.0,
     )
     p: float = param(
         0.0, "rad", "angle of the heavy side at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase"

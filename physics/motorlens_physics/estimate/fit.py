@@ -97,6 +97,8 @@ def start_model(file: MotorFile, runs: Sequence[Run]) -> Model:
 P = TypeVar("P", bound=Point)
 
 
+# A motor that runs away is refused by its cost.
+@np.errstate(over="ignore", invalid="ignore")
 def minimise(
     begin: P,
     prior: Prior,
@@ -412,6 +414,8 @@ class _Averaged:
         return np.asarray(self.residuals[r][self.runs[r].fresh()] / self.sizes[r])
 
 
+# As of `minimise`.
+@np.errstate(over="ignore", invalid="ignore")
 def fit(model: Model, runs: Sequence[Run], prior: Prior, *, rounds: int = 12, enough: float = 0.02) -> Fit:
     """Fit the parameters that the prior names, starting from the model, each channel weighed by the size of its errors.
 

@@ -6,9 +6,10 @@ one, and the likelier stays.
 
 Where no name does though something is missing, or where the model with one still does not follow, the motor is estimated
 from the beginning with each name of the equation: what is missing bends a fit, and from where that ends no name may help.
+Which promise most is asked from there, and from the motor file, where nothing is bent yet.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.weighed import Weighed
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import likeliest, log_occam_of, posterior, scatter_of
@@ -26,7 +28,17 @@ from motorlens_workbench.criteria import CRITERIA, NEARLY
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
 from motorlens_workbench.hypotheses.sensors import SensorShape
-from motorlens_workbench.refit import ahead, anew, at_first, begun, nearly, promise, settled, with_hypothesis
+from motorlens_workbench.refit import (
+    ahead,
+    anew,
+    at_file,
+    at_first,
+    begun,
+    nearly,
+    promise,
+    settled,
+    with_hypothesis,
+)
 from motorlens_workbench.standing import Residual, Standing, residual_of, stand, under, unlikely_from
 from motorlens_workbench.telling import Progress
 
@@ -34,6 +46,8 @@ from motorlens_workbench.telling import Progress
 REFITTED = 4
 # Names with which the motor is estimated to the end, of all that are tried.
 ESTIMATED = 6
+# Of these, names that a look from the motor file shows.
+FROM_FILE = 2
 # The model in which a name was tried, and the same with it.
 Attempt = tuple[Fitted, Fitted]
 
@@ -243,10 +257,6 @@ def enter_anew(
         hypothesis = score.entry.hypothesis
         if hypothesis.named and hypothesis.equation in equations and score.name not in estimated:
             named[score.name] = score
-
-    def about(one: Score) -> Fitted:
-        return begun(here.fitted, one)
-
     if not named:
         return Step()
     say(f"estimating anew with each of {len(named)} names that may stand there")
@@ -254,17 +264,15 @@ def enter_anew(
     base = nearly(here.fitted)
     if base is None:
         return nothing
-    without = ahead(here.fitted, base)
-    left = on_all_cores(lambda one: ahead(about(one), base), list(named.values()))
-    won = {name: without - cost for name, cost in zip(named, left, strict=True) if cost < without}
-    nearest = [named[name] for name in sorted(won, key=lambda name: -won[name])[:ESTIMATED]]
-    say(f"and to the end with {', '.join(one.name.replace('_', ' ') for one in nearest) or 'none'}")
+    begins = _promising(here, base, named, own)
+    say(f"and to the end with {', '.join(one.name.replace('_', ' ') for one, _ in begins) or 'none'}")
 
-    def to_the_end(one: Score) -> Fitted | None:
-        reached = nearly(about(one))
-        return None if reached is None else anew(about(one), reached)
+    def to_the_end(begin: Fitted) -> Fitted | None:
+        reached = nearly(begin)
+        return None if reached is None else anew(begin, reached)
 
-    fits = zip(nearest, on_all_cores(to_the_end, nearest), strict=True)
+    ends = on_all_cores(to_the_end, [begin for _, begin in begins])
+    fits = [(one, end) for (one, _), end in zip(begins, ends, strict=True)]
     leaves = [(_residual(here, fitted), one, fitted) for one, fitted in fits if fitted is not None]
     weighed = [(residual, one, fitted) for residual, one, fitted in leaves if residual is not None]
     made = [(one, fitted) for _, one, fitted in weighed]
@@ -298,6 +306,40 @@ def enter_anew(
         return step
     beside = {name: 0.5 * (less[one.name] - more) for name, more in less.items()}
     return replace(step, accepted=replace(step.accepted, beside=beside))
+
+
+def _promising(
+    here: Standing, base: Weighed, named: Mapping[str, Score], own: Sequence[type[Effect]]
+) -> list[tuple[Score, Fitted]]:
+    """Names that promise most, and the models with which estimates with them begin.
+
+    A few as a look from the motor file shows them, at the size that it shows: where another motor has made up for what is
+    missing, with another timing, nothing leads there from the fit. The others by what they leave one step ahead of it.
+    """
+    begins = [
+        (one, begun(here.fitted, one, one.coefficient))
+        for one in _seen_from_file(here, named, own)[:FROM_FILE]
+    ]
+    seen = {one.name for one, _ in begins}
+    others = [one for name, one in named.items() if name not in seen]
+    without = ahead(here.fitted, base)
+    left = on_all_cores(lambda one: ahead(begun(here.fitted, one), base), others)
+    won = [(without - cost, one) for one, cost in zip(others, left, strict=True) if cost < without]
+    won.sort(key=lambda known: -known[0])
+    return begins + [(one, begun(here.fitted, one)) for _, one in won[: ESTIMATED - len(begins)]]
+
+
+def _seen_from_file(here: Standing, named: Collection[str], own: Sequence[type[Effect]]) -> list[Score]:
+    """Some names as a look from the motor file shows them, nothing fitted, the one that explains most first."""
+    try:
+        there = stand(at_file(here.fitted), own)
+    except ModelError:
+        return []
+    best: dict[str, Score] = {}
+    for score in sorted(there.scores, key=lambda score: score.gain):
+        if score.possible and score.name in named:
+            best[score.name] = score
+    return list(reversed(best.values()))
 
 
 def _timed_anew(here: Standing, one: Score, step: Step, own: Sequence[type[Effect]]) -> Step:
@@ -357,7 +399,10 @@ def _judged(here: Standing, one: Score, start: Fitted, own: Sequence[type[Effect
             if -log_chance(max(told.kept, 0.0), 1) < told.needed:
                 return Step(refused=(one.name,), judged=judged, attempts={one.name: (here.fitted, end)})
             # Without the name the model fits beyond chance better than where it had ended: it goes on from there.
-            return Step(stand(told.lacking, own), judged=judged, unlikely=here.unlikely - told.kept)
+            tried = {one.name: (told.lacking, end)}
+            return Step(
+                stand(told.lacking, own), judged=judged, attempts=tried, unlikely=here.unlikely - told.kept
+            )
         then = stand(end, own)
     except ModelError:
         return Step(refused=(one.name,))

@@ -91,7 +91,10 @@ def of_effect(effect: type[Effect], file: MotorFile) -> Hypothesis:
     ends = sorted((end - switch.null) / typical for end in switch.bounds)
     made = tuple(EffectShape(parts, (ends[0], ends[1])) for parts in shapes(effect, file))
     key = f"{effect.name()}.{switch.name}"
-    return Hypothesis(effect.name(), "effect", equation_of(effect), made, key, typical, effect.holds())
+    largest = None if switch.largest is None else switch.largest / switch.prior
+    return Hypothesis(
+        effect.name(), "effect", equation_of(effect), made, key, typical, effect.holds(), largest
+    )
 
 
 def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]]:

@@ -39,6 +39,7 @@ class Hypothesis:
         typical: size of one unit of its columns, away from null, in the unit of that parameter; without a name, the
             coefficient that would be as large as what drives the motor, or as the parameter that is no constant.
         holds: whether it may hold a rotor at rest, see `Effect.holds`.
+        largest: multiple of its typical size that is known to be no wonder of nature; None: not known.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Hypothesis:
     key: str = ""
     typical: float = float("inf")
     holds: bool = False
+    largest: float | None = None
 
     @property
     def named(self) -> bool:
@@ -57,4 +59,6 @@ class Hypothesis:
     @property
     def most(self) -> float:
         """The largest multiple of its typical size that is no wonder of nature; a term without a name may have any."""
-        return 3 * CRITERIA.largest if self.named else float("inf")
+        if not self.named:
+            return float("inf")
+        return 3 * CRITERIA.largest if self.largest is None else self.largest
