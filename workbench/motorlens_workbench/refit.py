@@ -12,7 +12,7 @@ from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise,
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Weighed, minimised, weighed
+from motorlens_physics.estimate.weighed import Weighed, gained, minimised, needed, weighed
 from motorlens_physics.estimate.weighed import begun as first_noise_of
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.ledger import Beside
@@ -95,6 +95,17 @@ def nearly(fitted: Fitted) -> Weighed | None:
         return near(runs, fitted.prior, replace(begin, held=fitted.model.held), free=False)
     except ModelError:
         return None
+
+
+def likelier(one: Weighed, other: Weighed, prior: Prior) -> bool:
+    """Whether where `nearly` has led a model is likelier beyond chance than where it has led another of fewer parameters.
+
+    Args:
+        one: the other's.
+        other: the model's.
+        prior: of the other's parameters.
+    """
+    return gained(one, other, prior) > needed(1)
 
 
 def at_first(fitted: Fitted) -> float:

@@ -31,7 +31,13 @@ class MagnetTemperature(Effect):
     excited_by: ClassVar[tuple[str, ...]] = ("direct_on_line", "duty", "heat_soak")
 
     beta: float = param(
-        0.0, "1/K", "relative loss of flux per kelvin", bounds=(0.0, 0.01), prior=0.002, null=0.0
+        0.0,
+        "1/K",
+        "relative loss of flux per kelvin",
+        bounds=(0.0, 0.01),
+        prior=0.002,
+        null=0.0,
+        largest=0.005,
     )
     f: float = param(
         0.7, "1", "rise of the magnets as a share of the winding's", bounds=(0.0, 1.0), prior=0.3, fixed=True

@@ -34,6 +34,7 @@ from motorlens_workbench.refit import (
     at_file,
     at_first,
     begun,
+    likelier,
     nearly,
     promise,
     settled,
@@ -269,7 +270,9 @@ def enter_anew(
 
     def to_the_end(begin: Fitted) -> Fitted | None:
         reached = nearly(begin)
-        return None if reached is None else anew(begin, reached)
+        if reached is None or not likelier(base, reached, here.fitted.prior):
+            return None
+        return anew(begin, reached)
 
     ends = on_all_cores(to_the_end, [begin for _, begin in begins])
     fits = [(one, end) for (one, _), end in zip(begins, ends, strict=True)]
