@@ -1,7 +1,5 @@
 """Gravity on an arm that never turns a whole revolution, from an integrator of its own."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers.plain_motor import RATED, TYPICAL
@@ -71,29 +69,6 @@ def test_gravity_on_an_arm_is_told_where_its_angle_is_measured(share: float) -> 
     assert values["unbalance_torque.p"] == pytest.approx(0.3, abs=0.02)
 
 
-@pytest.mark.fit
-def test_gravity_on_a_pendulum_is_found_where_a_wrong_motor_makes_up_for_it() -> None:
-    """Only its angle was measured, and its plate tells little: another motor, with another timing, swings as it does."""
-    rng = np.random.default_rng(6)
-    gravity_Nm = 1.2 * RATED["load_torque"]
-    volts = np.repeat(rng.uniform(-24, 24, SAMPLES // 100), 100)
-    angle = swung(gravity_Nm, 0.0, volts)[:, 2]
-    assert np.pi / 2 < np.ptp(angle) < 2 * np.pi
-    taken = slice(None, None, 5)
-    time_s = PERIOD_S * np.arange(SAMPLES)[taken]
-    turned = (angle + 0.002 * rng.standard_normal(SAMPLES))[taken]
-    speed = np.append(0.0, np.diff(turned) / np.diff(time_s))
-    channels = {"voltage": volts[taken], "speed": speed, "angle": turned}
-    known = {
-        key: Knowledge((1.0 if key in ("L", "J", "b") else 0.1) * TYPICAL[key], "plate") for key in TYPICAL
-    }
-    file = MotorFile("pendulum", replace(Motor(**TYPICAL), J=0.5 * TYPICAL["J"]), PLATE, knowledge=known)
-    found = diagnose(file, [Recording("pendulum", time_s, channels, speed_from_angle=True)])
-    verdict = settle(found)
-    print(verdict.kind, verdict.chosen, found.outcome.last.fitted.model.values())
-    assert "unbalance_torque" in verdict.chosen
-
-
 def disc(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N,) time in s, voltage held at 40 Hz and angle of the disc of github.com/GerbenBeintema/gym-unbalanced-disk.
 
@@ -101,8 +76,8 @@ def disc(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     stiffness, damping, dry, gain, period_s, substeps = 11.34**2, 1.333, 6.06, 28.14, 0.025, 25
     rng = np.random.default_rng(seed)
-    time_s = period_s * np.arange(2000)
-    tones = rng.uniform(0.1, 2.5, 40)
+    time_s = period_s * np.arange(1000)
+    tones = rng.uniform(0.6, 2.6, 40)
     volts = np.sum(np.cos(2 * np.pi * tones * time_s[:, None] + rng.uniform(0, 2 * np.pi, 40)), axis=1)
     volts *= 0.84 / np.std(volts)
     angle, speed, shown, h = 0.0, 0.0, [0.0], period_s / substeps
@@ -117,37 +92,26 @@ def disc(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [1])
-def test_gravity_on_a_disc_is_found_where_another_motor_and_timing_make_up_for_it(seed: int) -> None:
-    """Only its angle was measured, and its plate is guessed."""
-    time_s, volts, angle = disc(seed)
-    turned = angle + 0.002 * np.random.default_rng(seed + 1).standard_normal(len(angle))
+def test_gravity_on_a_disc_is_found_where_another_motor_and_timing_make_up_for_it() -> None:
+    """Only its angle was measured, and its plate is guessed: what it swings is as heavy as the motor is strong."""
+    time_s, volts, angle = disc(seed=2)
+    turned = angle + 0.002 * np.random.default_rng(3).standard_normal(len(angle))
     speed = np.append(0.0, np.diff(turned) / np.diff(time_s))
-    plate = Rated(voltage_V=24.0, current_A=1.5, speed_rad_s=209.4, torque_Nm=0.101)
-    motor = Motor(
-        R_a0=5.0,
-        L=0.016,
-        ke=0.0788,
-        J=0.00024,
-        b=8.3e-5,
-        alpha=0.004,
-        k0=0.183,
-        kT=0.0029,
-        k_ir=8.2e-5,
-        H=300.0,
-    )
-    sd = {"R_a0": 0.5, "L": 0.016, "ke": 0.012, "J": 0.00024, "b": 8.3e-5, "alpha": 0.00012, "k0": 0.091}
-    sd |= {"kT": 0.0029, "k_ir": 8.2e-5, "H": 300.0}
-    file = MotorFile(
-        "disc", motor, plate, knowledge={key: Knowledge(one, "plate") for key, one in sd.items()}
-    )
+    plate = Rated(voltage_V=24.0, current_A=1.5, speed_rad_s=209.4, torque_Nm=0.04)
+    guessed = {
+        "R_a0": (5.0, 0.5), "L": (0.016, 0.016), "ke": (0.0788, 0.012), "J": (0.00024, 0.00024), "b": (8.3e-5, 8.3e-5),
+        "alpha": (0.004, 0.00012), "k0": (0.183, 0.091), "kT": (0.0029, 0.0029), "k_ir": (8.2e-5, 8.2e-5), "H": (300, 300),
+    }  # fmt: skip
+    motor = Motor(**{key: value for key, (value, _) in guessed.items()})
+    known = {key: Knowledge(sd, "plate") for key, (_, sd) in guessed.items()}
+    file = MotorFile("disc", motor, plate, knowledge=known)
     channels = {"voltage": volts, "speed": speed, "angle": turned}
     found = diagnose(file, [Recording("disc", time_s, channels, speed_from_angle=True)])
     verdict = settle(found)
+    assert verdict.kind == "named" and "unbalance_torque" in verdict.chosen
+    assert {"coulomb_friction", "hysteresis_iron_loss"} & set(verdict.chosen)
     values = found.outcome.last.fitted.model.values()
-    print(verdict.kind, verdict.chosen, values)
-    assert "unbalance_torque" in verdict.chosen
-    assert values["unbalance_torque.A"] / values["J"] == pytest.approx(11.34**2, rel=0.1)
+    assert values["unbalance_torque.A"] / values["J"] == pytest.approx(11.34**2, rel=0.03)
 
 
 def _to_and_fro() -> np.ndarray:

@@ -72,14 +72,21 @@ def turning(angle: Array, speed_rad_s: Array, period: float) -> NDArray[np.bool_
     return np.asarray((way != 0) & (before >= period) & (after >= period))
 
 
-def swinging(angle: Array, period: float) -> NDArray[np.bool_]:
-    """(N,) whether the shaft moves, of one that goes to and fro over a part of a period, rad, as a joint or a pendulum does.
+def swinging(angle: Array, turns: NDArray[np.bool_], period: float) -> NDArray[np.bool_]:
+    """(N,) whether a shaft moves that mostly goes to and fro over a part of a period, as a joint or a pendulum does.
 
-    >>> angle = np.array([0.0, 1.0, 2.0, 2.0, 2.0, 1.0, 0.0])
-    >>> swinging(angle, 6.0).tolist()
+    Args:
+        angle: (N,) of the shaft, rad.
+        turns: (N,) where it turns whole periods, see `turning`.
+        period: rad.
+
+    >>> angle, never = np.array([0.0, 1.0, 2.0, 2.0, 2.0, 1.0, 0.0]), np.zeros(7, dtype=bool)
+    >>> swinging(angle, never, 6.0).tolist()
     [True, True, True, False, True, True, True]
-    >>> bool(swinging(angle, 1.9).any()), bool(swinging(angle, 9.0).any())
+    >>> bool(swinging(angle, ~never, 1.9).any()), bool(swinging(angle, never, 9.0).any())
     (False, False)
     """
-    moves, range_ = np.abs(np.gradient(angle)), float(np.ptp(angle))
-    return np.asarray((moves > STANDS * np.max(moves)) & (BENDS * period <= range_ < period))
+    speed = np.abs(np.gradient(angle))
+    moves = speed > STANDS * np.max(speed)
+    seldom = 2 * np.sum(turns & moves) < np.sum(moves)
+    return np.asarray(moves & seldom & bool(np.ptp(angle) >= BENDS * period))

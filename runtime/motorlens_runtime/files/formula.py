@@ -273,17 +273,28 @@ def _added(one: _Term, other: _Term, sign: float) -> _Term:
 
 
 def index_of(name: str, headings: Sequence[str]) -> int | None:
-    """The index of a column by its heading or, as of a file without any, by its number: `#3`; `ROW`; None if there is none.
+    """The index of a column by its heading, with its unit in brackets or without where only one is named so; by its number
+    `#3`, as of a file without headings; `ROW`; None if there is none.
 
     >>> index_of("u", ["t", "u", "u"]), index_of("#3", ["t", "u", "u"]), index_of("#4", ["t", "u", "u"])
     (1, 2, None)
+    >>> index_of("u", ["t [s]", "u [V]"]), index_of("u", ["u (V)", "u [mV]"])
+    (1, None)
     """
     if name in headings:
         return list(headings).index(name)
+    named = [index for index, heading in enumerate(headings) if _without_unit(heading) == name]
+    if len(named) == 1:
+        return named[0]
     if name == _ROW:
         return ROW
     number = re.fullmatch(r"#([1-9]\d*)", name)
     return int(number[1]) - 1 if number and int(number[1]) <= len(headings) else None
+
+
+def _without_unit(heading: str) -> str:
+    """A heading without a unit in brackets at its end."""
+    return re.sub(r"\s*(\[[^\]]*\]|\([^)]*\))$", "", heading)
 
 
 def is_formula(text: str, headings: Sequence[str]) -> bool:

@@ -50,7 +50,7 @@ class EffectShape:
         """(N, C, k) what the effect would change; nothing in a run whose angle is needed and not known.
 
         What goes with the angle is looked at while the shaft turns whole periods. At stops it is hardly more than a
-        constant, and friction passes for it. A shaft that never turns as far is looked at while it swings, if its angle was
+        constant, and friction passes for it. A shaft that seldom turns as far is looked at while it swings, if its angle was
         measured: gravity on an arm, say.
         """
         angle = angle_of(type(self.parts[0]))
@@ -66,7 +66,7 @@ class EffectShape:
             shaft = line.trajectory.states[angle]
             moving = turning(shaft, line.trajectory.speed_rad_s, period)
             if line.run.angle is not None:
-                moving = moving | swinging(shaft, period)
+                moving = moving | swinging(shaft, moving, period)
             voltage, torque, heat = (part * moving[:, None] for part in (voltage, torque, heat))
         return line.of_forcing(Forcing(voltage, torque, heat))
 

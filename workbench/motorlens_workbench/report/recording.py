@@ -12,6 +12,7 @@ from motorlens_physics.reading import read_table
 from motorlens_physics.recording import Recording, read_recording
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import understand, units_offered
+from motorlens_runtime.files.formula import ROW, index_of
 from motorlens_runtime.files.headings import QUANTITIES
 from motorlens_workbench.report.page import Page, Section, significant, unit_text
 from motorlens_workbench.report.pictures import Axes, Line, Plot, Table, time_plots
@@ -176,7 +177,9 @@ def _headings(table: File, columns: Sequence[str]) -> tuple[Heading, ...]:
         except DataError:
             continue
     for column in columns:
-        key, _, heading = column.partition("=")
+        key, _, named = column.partition("=")
+        index = index_of(named, table.headings)
+        heading = named if index is None or index == ROW else table.headings[index]
         quantity = next(
             (q for q in sorted(QUANTITIES, key=len, reverse=True) if key == q or key.startswith(q + "_")), ""
         )
