@@ -45,14 +45,17 @@ def test_where_walds_test_says_too_little_the_score_test_says_what_the_likelihoo
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize(("multiple", "allowed"), [(29.0, True), (31.0, False)])
+@pytest.mark.parametrize(
+    ("multiple", "largest", "allowed"),
+    [(29.0, None, True), (31.0, None, False), (49.0, 50.0, True), (2.6, 2.5, False)],
+)
 def test_what_only_a_wonder_of_nature_explains_has_no_name(
-    bare: Standing, multiple: float, allowed: bool
+    bare: Standing, multiple: float, largest: float | None, allowed: bool
 ) -> None:
-    """As if the size that is found were so many times the typical one."""
+    """As if the size that is found were so many times the typical one, of an effect whose largest is known or not."""
     score, end = with_name(bare, "magnet_temperature")
     size = end.model.values()["magnet_temperature.beta"]
-    hypothesis = replace(score.entry.hypothesis, typical=size / multiple)
+    hypothesis = replace(score.entry.hypothesis, typical=size / multiple, largest=largest)
     one = replace(score, entry=replace(score.entry, hypothesis=hypothesis))
     assert end.allows(hypothesis) is allowed
     told = worth(bare, one, end)
