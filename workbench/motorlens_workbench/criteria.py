@@ -25,7 +25,8 @@ class Criteria:
     Of those of `--count 45 --seed 29` a dead time has 1.17 and is told in a group, and a speed sensor is said to be clipped,
     which it is; of those of `--seed 30` the largest name has 0.62 and the largest free term 0.51.
     Of those of `--count 40 --seed 31` the largest name has 0.37 and the largest free term 0.46, of those of `--seed 34` 0.12
-    and 0.62, of those of `--seed 35` 1.21 (an iron core, which is not told) and 0.38; all are adequate.
+    and 0.62, of those of `--seed 35` 1.21 (an iron core, which is not told) and 0.38; all are adequate. Of those of
+    `--seed 37` they have 0.66 and 1.35 (b against speed, 10 bit at near standstill): one of 40 is `unknown`.
     Flips of signs alone would put `excess` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:
