@@ -83,7 +83,7 @@ def disc(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     angle, speed, shown, h = 0.0, 0.0, [0.0], period_s / substeps
     for v in volts[:-1]:
         for _ in range(substeps):
-            # Of second order in the step: the speed is known between the angles.
+            # Euler's method, the angle with the new speed (semi-implicit).
             rate = -stiffness * np.sin(angle) - damping * speed - dry * np.tanh(speed / 0.05) + gain * v
             speed += h * rate
             angle += h * speed

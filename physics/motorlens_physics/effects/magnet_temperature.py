@@ -37,6 +37,7 @@ class MagnetTemperature(Effect):
         bounds=(0.0, 0.01),
         prior=0.002,
         null=0.0,
+        # A little more than a field winding.
         largest=0.005,
     )
     f: float = param(

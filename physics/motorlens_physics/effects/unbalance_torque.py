@@ -14,8 +14,8 @@ class UnbalanceTorque(Effect):
     """Gravity on a rotor or load whose centre of mass is off the shaft: -A sin(phi + p), once a revolution.
 
     A = m g e with the unbalance m e of ISO 21940-11:2016, Procedures and tolerances for rotors with rigid behaviour.
-    The shaft angle starts with the heavy side down (phi = 0). That of a rotor is small; a motor that swings an arm or a
-    pendulum may have as much of it as it can give for a short while, some three times its rated torque.
+    The shaft angle starts with the heavy side down (phi = 0). Of a rotor alone A is small; of an arm or a pendulum it may be
+    as much as the motor can give for a short while, some three times its rated torque.
 
     >>> from types import SimpleNamespace as At
     >>> round(UnbalanceTorque(A=0.05, p=0.4).torque(None, At(phi=1.1), None), 6)  # 0.05 sin(1.5)

@@ -283,11 +283,11 @@ def index_of(name: str, headings: Sequence[str]) -> int | None:
     """
     if name in headings:
         return list(headings).index(name)
+    if name == _ROW:
+        return ROW
     named = [index for index, heading in enumerate(headings) if _without_unit(heading) == name]
     if len(named) == 1:
         return named[0]
-    if name == _ROW:
-        return ROW
     number = re.fullmatch(r"#([1-9]\d*)", name)
     return int(number[1]) - 1 if number and int(number[1]) <= len(headings) else None
 
