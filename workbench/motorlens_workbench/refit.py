@@ -12,7 +12,7 @@ from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise,
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Weighed, gained, minimised, needed, weighed
+from motorlens_physics.estimate.weighed import Weighed, minimised, needed, weighed
 from motorlens_physics.estimate.weighed import begun as first_noise_of
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.ledger import Beside
@@ -100,12 +100,22 @@ def nearly(fitted: Fitted) -> Weighed | None:
 def likelier(one: Weighed, other: Weighed, prior: Prior) -> bool:
     """Whether where `nearly` has led a model is likelier beyond chance than where it has led another of fewer parameters.
 
+    Each under its own noise: a fit that has gone astray may have a noise by which every other model is impossible.
+
     Args:
         one: the other's.
         other: the model's.
         prior: of the other's parameters.
     """
-    return gained(one, other, prior) > needed(1)
+    return _unlikely(one, prior) - _unlikely(other, prior) > needed(1)
+
+
+def _unlikely(point: Weighed, prior: Prior) -> float:
+    """Twice the negative logarithmic likelihood of a point; samples that are missing count as the others do in the mean."""
+    samples = 0.0
+    for part in point.parts:
+        samples += float(np.sum(part.read.unlikely) * part.used.size / max(int(np.sum(part.used)), 1))
+    return samples + prior.penalty(point.model.values())
 
 
 def at_first(fitted: Fitted) -> float:
