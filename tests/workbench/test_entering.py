@@ -7,15 +7,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.hidden import Case, generate
 from helpers.textbook import textbook_on
 from scipy.stats import t as students_t
 
+from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.weighed import weighed
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import read_recording
 from motorlens_workbench.contest import entering
 from motorlens_workbench.contest.contest import contest
 from motorlens_workbench.contest.entering import Step, enter_for_delays, enter_unseen
 from motorlens_workbench.contest.needed import beyond_chance, unseen
+from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.ledger import Lens, ledger
 from motorlens_workbench.refit import promise
 from motorlens_workbench.standing import Standing, stand
@@ -85,11 +91,58 @@ def test_what_a_delay_stands_for_is_asked_again_beside_what_was_missing(tmp_path
     first = enter_for_delays(here, (), lambda text: None)
     assert first.accepted is not None and first.standing is not None
     assert first.accepted.hypothesis.name == "voltage_sensor_offset"
-    assert any(first.standing.fitted.runs[0].late.values()), "beside it the lag passes for a delay all the same"
+    assert any(first.standing.fitted.runs[0].late.values()), (
+        "beside it the lag passes for a delay all the same"
+    )
     out = contest(here.fitted)
     assert {one.hypothesis.name for one in out.accepted} == {"speed_sensor_lag", "voltage_sensor_offset"}
     assert out.last.fitted.model.values()["speed_sensor_lag.tau"] == pytest.approx(0.006, rel=0.1)
     assert not any(out.last.fitted.runs[0].late.values())
+
+
+# Slow voltages about nought, a converter of 12 bit, and a torque that nobody measured: a case that was told as a lag.
+CREEPING = Case(
+    id="creeping", seed=916646029943152014, motor="gear_12V", kind="single", hidden=(("constant_torque", 10.0),),
+    noise=0.002, noise_kind="12bit", records="fast", excitation="near_standstill", stamped=False, small=True,
+)  # fmt: skip
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", [slice(None), slice(3000, 6000)], ids=["all", "three tenths"])
+def test_a_torque_that_passes_for_a_delay_is_not_told_as_a_lag(tmp_path: Path, part: slice) -> None:
+    """In a part of it a lag wins in its own eyes alone, for it smooths the noise of the voltage, and so does the torque."""
+    written = generate(CREEPING, tmp_path)
+    file, whole = read_motor_file(written.motor), read_recording(written.recordings[0])
+    channels = {name: channel[part] for name, channel in whole.channels.items()}
+    time_s = whole.time_s[part] - whole.time_s[part][0]
+    recording = replace(whole, time_s=time_s, channels=channels)
+    here = stand(fitted_of(estimate(file, prepare_all([recording], file))))
+    assert set(here.fitted.runs[0].late) == {"current"}
+    step = enter_for_delays(here, (), lambda text: None)
+    assert "current_sensor_lag" in step.judged and len(step.judged) == 2
+    if part != slice(None):
+        assert step.accepted is None and step.standing is None
+        return
+    assert step.accepted is not None and step.standing is not None
+    entered = step.accepted.hypothesis
+    assert entered.name in ("constant_torque", "load_torque_sensor_offset")
+    (size,) = (one["size"] for one in written.truth["hidden"])  # type: ignore[attr-defined]
+    assert abs(step.standing.fitted.model.values()[entered.key]) == pytest.approx(abs(size), rel=0.1)
+    assert not any(step.standing.fitted.runs[0].late.values())
+
+
+@pytest.mark.parametrize(
+    ("seen_from_here", "seen_from_there", "won"), [(-145.0, 2030.0, -145.0), (17.0, 16.0, 16.0)]
+)
+def test_what_only_the_noise_of_a_model_says_of_its_timing_is_not_won(
+    monkeypatch: pytest.MonkeyPatch, seen_from_here: float, seen_from_there: float, won: float
+) -> None:
+    unlikely = {("here", "old"): 0.0, ("there", "old"): 0.0}
+    unlikely |= {("here", "new"): -seen_from_here, ("there", "new"): -seen_from_there}
+    monkeypatch.setattr(entering, "stand", lambda fitted: SimpleNamespace(name="there"))
+    monkeypatch.setattr(entering, "unlikely_from", lambda frame, fitted: unlikely[frame.name, fitted])
+    here = SimpleNamespace(name="here", fitted="old")
+    assert entering._won_by_both(here, "new") == won  # type: ignore[arg-type]
 
 
 @pytest.mark.fit

@@ -182,7 +182,7 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
         f"estimating anew with {' or '.join(one.name.replace('_', ' ') for one in tried)} in the place of a delay"
     )
     ends = on_all_cores(lambda one: anew(begun(fitted, one)), tried)
-    won = [-np.inf if end is None else _won_by_either(here, end) for end in ends]
+    won = [-np.inf if end is None else _won_by_both(here, end) for end in ends]
     best = int(np.argmax(won))
     one, end = tried[best], ends[best]
     refused = Step(judged=dict.fromkeys((one.name for one in tried), 0.0))
@@ -211,15 +211,18 @@ def passes_for_delay(hypothesis: Hypothesis) -> bool:
     )
 
 
-def _won_by_either(here: Standing, fitted: Fitted) -> float:
-    """By how much another model is likelier than the one that stands, in the mean of the frames of both.
+def _won_by_both(here: Standing, fitted: Fitted) -> float:
+    """By how much another model is likelier than the one that stands, in the frame of whichever of both grants it less.
 
-    Timing decides how noise of the inputs passes through: neither sees the other's as it would be.
+    Timing decides how noise of the inputs passes through, and a lag smooths it: where inputs run slowly, a model in which a
+    channel lags and is early at once foretells more, because it averages the noise of the inputs. That is no evidence of it,
+    and the model that stands does not see it.
     """
     try:
-        there = stand(fitted)
-        mine, others = (unlikely_from(frame, fitted) for frame in (here, there))
-        return 0.5 * (unlikely_from(here, here.fitted) - mine + unlikely_from(there, here.fitted) - others)
+        return min(
+            unlikely_from(frame, here.fitted) - unlikely_from(frame, fitted)
+            for frame in (here, stand(fitted))
+        )
     except ModelError:
         return -np.inf
 
