@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.delays import delays_of
+from motorlens_physics.estimate.delays import Delay, delays_of
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed
@@ -163,12 +163,13 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
 
     Delays are found before any name is looked at, and from where they have led nothing may show of it. A channel may come
     early because any other lags, and late because a torque that is missing moves the shaft. Of lags, and of all names, the
-    one is tried of which least squares leave the least with no channel moved.
+    one is tried of which least squares leave the least with no channel moved. Beside a name that has nothing to do with
+    them the delays are found again: it may enter as all names do.
     """
     if here.null is None:
         return Step()
     fitted = here.fitted
-    delays = delays_of(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0), fitted.runs)
+    delays = _delays_of(fitted)
     # What a look says of their sizes is bent by the delays, and need not be possible.
     named = {score.name: score for score in here.scores if _moves_channels(score.entry.hypothesis)}
     lags = {name for name, one in named.items() if passes_for_delay(one.entry.hypothesis)}
@@ -182,7 +183,10 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
         f"estimating anew with {' or '.join(one.name.replace('_', ' ') for one in tried)} in the place of a delay"
     )
     ends = on_all_cores(lambda one: anew(begun(fitted, one)), tried)
-    won = [-np.inf if end is None else _won_by_both(here, end) for end in ends]
+    won = [
+        _won_by_both(here, end) if end is not None and len(_delays_of(end)) < len(delays) else -np.inf
+        for end in ends
+    ]
     best = int(np.argmax(won))
     one, end = tried[best], ends[best]
     refused = Step(judged=dict.fromkeys((one.name for one in tried), 0.0))
@@ -196,6 +200,10 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
         return refused
     judged, entered = {**refused.judged, one.name: told.times}, told.accepted(one.entry.hypothesis)
     return Step(there if entered else None, entered, judged=judged, unlikely=told.unlikely)
+
+
+def _delays_of(fitted: Fitted) -> tuple[Delay, ...]:
+    return delays_of(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0), fitted.runs)
 
 
 def _moves_channels(hypothesis: Hypothesis) -> bool:
