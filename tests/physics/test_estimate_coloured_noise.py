@@ -120,7 +120,7 @@ def driven(
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize(("seed", "told"), [(1, 0.03), (2, 0.05)])
+@pytest.mark.parametrize(("seed", "told"), [(1, 0.03), pytest.param(2, 0.05, marks=pytest.mark.long)])
 def test_the_noise_of_a_voltage_in_ramps_is_told_from_the_current_s(seed: int, told: float) -> None:
     """White noise of the voltage, through the inductance, is much as coloured noise of the current: the voltage shows it."""
     rng = np.random.default_rng(seed)
@@ -137,7 +137,7 @@ def test_the_noise_of_a_voltage_in_ramps_is_told_from_the_current_s(seed: int, t
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_a_creeping_motor_is_not_told_by_the_noise_of_its_voltage(seed: int) -> None:
     """Coloured noise that is left in a voltage looks as if it moved the motor: at rest it would tell the inertia."""
     rng = np.random.default_rng(seed)
@@ -151,7 +151,9 @@ def test_a_creeping_motor_is_not_told_by_the_noise_of_its_voltage(seed: int) -> 
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize(("seed", "held"), [(1, True), (2, True), (2, False)])
+@pytest.mark.parametrize(
+    ("seed", "held"), [(1, True), pytest.param(2, True, marks=pytest.mark.long), (2, False)]
+)
 def test_a_chirp_is_timed_as_it_was_beside_noise_that_lasts(seed: int, held: bool) -> None:
     """Smoothing leaves most of it in the voltage. Where the sensitivities held it too, all seemed to come early."""
     time = 0.002 * np.arange(SAMPLES)
@@ -166,7 +168,7 @@ def test_a_chirp_is_timed_as_it_was_beside_noise_that_lasts(seed: int, held: boo
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_sample_and_a_skew_are_one_delay_beside_noise_that_lasts(seed: int) -> None:
     """Where a skew may make up for it, that all is moved by a sample makes a recording no likelier."""
     time = 0.002 * np.arange(SAMPLES)
@@ -200,7 +202,9 @@ def test_what_lasts_longer_than_noise_is_none(remains: float, is_noise: bool) ->
 
 @pytest.mark.fit
 @pytest.mark.parametrize(
-    "missing", [{"lost": 0.1}, {"coloured": 0.01, "until": SAMPLES // 8}], ids=["magnet", "spell"]
+    "missing",
+    [pytest.param({"lost": 0.1}, marks=pytest.mark.long), {"coloured": 0.01, "until": SAMPLES // 8}],
+    ids=["magnet", "spell"],
 )
 def test_what_the_model_lacks_is_not_taken_for_noise(missing: dict[str, float]) -> None:
     """A magnet weaker by a tenth halfway through, which no motor that stays the same shows; or what comes for a while."""

@@ -129,7 +129,8 @@ def test_a_current_that_never_leaves_one_reading_is_as_coarse_as_it_is_elsewhere
 
 @pytest.mark.fit
 @pytest.mark.parametrize(
-    ("seed", "levels", "word"), [(1, 1, "never changes"), (2, 2, "one step of its converter, 0.6 A")]
+    ("seed", "levels", "word"),
+    [pytest.param(1, 1, "never changes", marks=pytest.mark.long), (2, 2, "one step of its converter, 0.6 A")],
 )
 def test_a_current_within_a_step_of_its_converter_tells_nothing_of_the_motor(seed, levels, word):
     """A motor that creeps, by an integrator of its own; with that current its resistance would be far off."""

@@ -62,7 +62,7 @@ def fitted(
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [310153, 310305])
+@pytest.mark.parametrize("seed", [310153, pytest.param(310305, marks=pytest.mark.long)])
 def test_inputs_that_hold_are_not_taken_for_linear_ones_that_are_late(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -121,6 +121,7 @@ def test_where_a_parameter_makes_up_for_what_is_missing_or_the_file_is_wrong_not
         )
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_an_effect_of_which_only_a_product_is_told_is_named(tmp_path):
     """Of another plant: how wide the gap of a coasting bridge is, or how high its supply, its voltage alone does not say."""
@@ -195,6 +196,7 @@ def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
     assert abs(np.abs(x[moving][np.argmax(np.abs(y[moving]))]) - 90) < 25
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_size_is_right_in_a_motor_that_was_calibrated_on_the_same_recording_without_it(rough):
     """Held to what was fitted without the drag, it came out at half its size, 5.6 stated deviations off."""
@@ -275,6 +277,7 @@ def test_wrong_use_is_one_clear_line(arguments, message, rough, tmp_path, capsys
     assert message in said
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_model_that_leaves_what_is_correlated_is_not_adequate(tmp_path, monkeypatch):
     """A magnet that loses a fortieth halfway: parameters bend until nothing stands out, but what is left is no noise."""

@@ -35,7 +35,13 @@ COGGING = {"name": "cogging_torque", "size": 0.0084, "shape": {"cog_N": 12.0, "c
     ("motor", "hidden", "seen", "expected"),
     [
         ("gear_12V", STRIBECK, False, {"tau_s": (0.0026, 0.15), "w_k": (15.1, 0.05)}),
-        ("servo_24V", COGGING, True, {"A": (0.0084, 0.15), "N": (12.0, 1e-9), "p": (1.9, 0.05)}),
+        pytest.param(
+            "servo_24V",
+            COGGING,
+            True,
+            {"A": (0.0084, 0.15), "N": (12.0, 1e-9), "p": (1.9, 0.05)},
+            marks=pytest.mark.long,
+        ),
     ],
     ids=["stribeck friction", "cogging torque"],
 )
@@ -79,6 +85,7 @@ def test_a_sensor_that_lags_is_told_from_channels_that_come_late_or_early(
     assert not any(end.runs[0].late.values())
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_what_a_delay_stands_for_is_asked_again_beside_what_was_missing(tmp_path: Path) -> None:
     """Where the voltage is off as well, at first neither fits: a lag of 6 ms passes for a delay of three samples."""
@@ -105,6 +112,7 @@ CREEPING = Case(
 
 
 @pytest.mark.long
+@pytest.mark.fit
 @pytest.mark.parametrize("part", [slice(None), slice(3000, 6000)], ids=["all", "three tenths"])
 def test_a_torque_that_passes_for_a_delay_is_not_told_as_a_lag(tmp_path: Path, part: slice) -> None:
     """In a part of it a lag wins in its own eyes alone, for it smooths the noise of the voltage, and so does the torque."""

@@ -38,7 +38,7 @@ def entered(bare: Standing, name: str) -> tuple[Standing, Accepted]:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("wrong", ["quadratic_drag", "constant_torque"])
+@pytest.mark.parametrize("wrong", [pytest.param("quadratic_drag", marks=pytest.mark.long), "constant_torque"])
 def test_what_was_put_in_takes_the_place_of_what_had_entered(bare: Standing, wrong: str) -> None:
     here, one = entered(bare, wrong)
     then, (other,) = exchanged(here, [one], (), lambda text: None)

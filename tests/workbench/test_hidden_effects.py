@@ -24,7 +24,9 @@ KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 # Of the sixty run some short ones of each kind and, marked long, of every fifth those whose effect is strong enough to be
 # asked for, and one with nothing missing; `python benchmarks/hidden_effects.py run --split subset --n 60 --small` does them
 # all. The goals of the project are in the benchmark's table.
-SHORT = ("subset-0003", "subset-0004", "subset-0006", "subset-0032", "subset-0052")
+SHORT = ("subset-0004", "subset-0006", "subset-0032", "subset-0052")
+# And one that takes longer, marked so.
+LONGER = "subset-0003"
 SHARE = 5
 # What is amiss with the answers to these, by case, as last measured. A case that gets worse fails, and so does one that gets
 # better: then its line goes.
@@ -126,7 +128,11 @@ def _name(truth: dict[str, Any]) -> str:
     "truth",
     [
         *(pytest.param(truth, id=_name(truth)) for truth in _short()),
-        *(pytest.param(truth, id=_name(truth), marks=pytest.mark.long) for truth in _few()),
+        *(
+            pytest.param(truth, id=_name(truth), marks=pytest.mark.long)
+            for truth in _truths()
+            if _name(truth) == LONGER or truth in _few()
+        ),
     ],
 )
 def test_a_case_never_tuned_on_is_answered_no_worse_and_no_better_than_is_written_here(
@@ -140,7 +146,7 @@ def test_a_case_never_tuned_on_is_answered_no_worse_and_no_better_than_is_writte
 def test_the_short_ones_hold_every_kind_of_case() -> None:
     rows = [(truth, None, 0.0) for truth in _short()]
     strong = [row[0]["kind"] for row in rows if scoring.strong(row)]
-    assert sorted(strong) == ["outside", "pair", "single", "single"]
+    assert sorted(strong) == ["outside", "pair", "single"]
     assert [row[0]["kind"] for row in rows if row[0]["kind"] not in strong] == ["none"]
 
 
