@@ -27,7 +27,6 @@ from motorlens_workbench.contest.worth import consistent, worth
 from motorlens_workbench.criteria import CRITERIA, NEARLY
 from motorlens_workbench.evidence.score import Score, log_chance
 from motorlens_workbench.fitted import Accepted, Challenger, Fitted
-from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.sensors import SensorShape
 from motorlens_workbench.refit import (
     ahead,
@@ -159,38 +158,28 @@ def enter(
 
 
 def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress) -> Step:
-    """What passed for delays, where any were found: the lag of a sensor or any other name, if it is likelier in their place.
+    """The lag of a sensor in the place of delays, where any were found and it is likelier.
 
-    Delays are found before any name is looked at, and from where they have led nothing may show of it. A channel may come
-    early because any other lags, and late because a torque that is missing moves the shaft. Of lags, and of all names, the
-    one is tried of which least squares leave the least with no channel moved. Beside a name that has nothing to do with
-    them the delays are found again: it may enter as all names do.
+    Delays are found before any name is looked at, and from where they have led nothing shows of a lag. A channel may come
+    early because any other lags: that is tried of which least squares leave the least. What lags may come late besides, but
+    not early: nothing answers before it is driven.
     """
     if here.null is None:
         return Step()
     fitted = here.fitted
-    delays = _delays_of(fitted)
     # What a look says of their sizes is bent by the delays, and need not be possible.
-    named = {score.name: score for score in here.scores if _moves_channels(score.entry.hypothesis)}
-    lags = {name for name, one in named.items() if passes_for_delay(one.entry.hypothesis)}
-    if not delays or not lags:
+    faults = {score.name: score for score in here.scores if isinstance(score.entry.shape, SensorShape)}
+    lags = [one for name, one in faults.items() if name.endswith("_lag") and name != "temperature_sensor_lag"]
+    if not _delays_of(fitted) or not lags:
         return Step()
-    left = dict(
-        zip(named, on_all_cores(lambda one: at_first(begun(fitted, one)), [*named.values()]), strict=True)
-    )
-    tried = [named[name] for name in {min(lags, key=left.__getitem__): 0, min(left, key=left.__getitem__): 0}]
-    say(
-        f"estimating anew with {' or '.join(one.name.replace('_', ' ') for one in tried)} in the place of a delay"
-    )
-    ends = on_all_cores(lambda one: anew(begun(fitted, one)), tried)
-    won = [
-        _won_by_both(here, end) if end is not None and len(_delays_of(end)) < len(delays) else -np.inf
-        for end in ends
-    ]
-    best = int(np.argmax(won))
-    one, end = tried[best], ends[best]
-    refused = Step(judged=dict.fromkeys((one.name for one in tried), 0.0))
-    if end is None or -log_chance(max(won[best], 0.0), 1) < needed_weight(here, ()):
+    left = on_all_cores(lambda one: at_first(begun(fitted, one)), lags)
+    one = lags[int(np.argmin(left))]
+    say(f"estimating anew with {one.name.replace('_', ' ')} in the place of a delay")
+    end, refused = anew(begun(fitted, one)), Step(judged={one.name: 0.0})
+    channel = one.entry.hypothesis.equation
+    if end is None or any(delay.channel == channel and delay.value_s < 0 for delay in _delays_of(end)):
+        return refused
+    if -log_chance(max(_won_by_both(here, end), 0.0), 1) < needed_weight(here, ()):
         return refused
     try:
         # As the likelier of both sees it: to a motor with another timing the noise of the inputs is not what it is.
@@ -198,25 +187,12 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
         told = worth(here, one, there.fitted, there)
     except ModelError:
         return refused
-    judged, entered = {**refused.judged, one.name: told.times}, told.accepted(one.entry.hypothesis)
+    judged, entered = {one.name: told.times}, told.accepted(one.entry.hypothesis)
     return Step(there if entered else None, entered, judged=judged, unlikely=told.unlikely)
 
 
 def _delays_of(fitted: Fitted) -> tuple[Delay, ...]:
     return delays_of(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0), fitted.runs)
-
-
-def _moves_channels(hypothesis: Hypothesis) -> bool:
-    """Whether it is a name that changes when current or speed answer the voltage."""
-    return hypothesis.named and hypothesis.equation not in ("thermal", "temperature")
-
-
-def passes_for_delay(hypothesis: Hypothesis) -> bool:
-    """Whether it is the lag of a sensor whose delay would be found, see `likeliest_lag`."""
-    shape = hypothesis.shapes[0]
-    return (
-        isinstance(shape, SensorShape) and shape.sensor.kind == "lag" and hypothesis.equation != "temperature"
-    )
 
 
 def _won_by_both(here: Standing, fitted: Fitted) -> float:
