@@ -216,7 +216,7 @@ def test_what_the_model_lacks_is_not_taken_for_noise(missing: dict[str, float]) 
 @pytest.mark.parametrize(
     ("plan", "case", "seed"),
     [
-        (60, "dev-0049", 3221405000646549988),
+        pytest.param(60, "dev-0049", 3221405000646549988, marks=pytest.mark.long),
         (2400, "dev-1528", 3),
         (120, "dev-0059", 443656928243061465),
     ],

@@ -51,7 +51,7 @@ def shares(period_s: float, of_sensor: float, seed: int, *, samples: int = SAMPL
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("of_sensor", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("of_sensor", [0.0, pytest.param(0.5, marks=pytest.mark.long), 1.0])
 def test_the_share_of_a_roughness_that_is_noise_is_found(of_sensor: float) -> None:
     np.testing.assert_allclose(
         np.mean([shares(1.0, of_sensor, seed) for seed in range(3)], axis=0), of_sensor, atol=0.1
@@ -110,7 +110,7 @@ def swept(frequencies_Hz: np.ndarray, noise: dict[str, float], seed: int) -> Swe
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2))])
 def test_what_a_smooth_drive_bends_by_is_no_noise(seed: int) -> None:
     volts = 0.5
     end = swept(np.linspace(0.5, 6.0, 4000), {"voltage": volts, "current": 0.3, "speed": 0.5}, seed)

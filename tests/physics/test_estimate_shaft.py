@@ -202,7 +202,7 @@ def test_a_recorded_angle_is_used_without_a_current_too():
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2))])
 def test_a_ripple_about_half_the_sampling_rate_is_no_skew_and_bends_nothing(seed):
     """Eight ripples a revolution at 140 to 240 rad/s, 500 samples a second; the plant is an integrator of its own."""
     file = read_motor_file(MOTOR)
