@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.prior import Prior
@@ -34,6 +35,11 @@ class Fitted:
     runs: tuple[Run, ...]
     cost: float
     covariance: Array
+
+    @property
+    def fit(self) -> Fit:
+        """As the estimate has it, but without what it leaves."""
+        return Fit(self.model, self.prior, self.covariance, ())
 
     @property
     def pulled(self) -> float:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import Estimate, estimate
-from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
 from motorlens_physics.estimate.prepare import prepare_all, prepare_to_fit
@@ -274,7 +273,7 @@ def _described(
             kept = before and replace(before, value=fitted.prior.centre[key])
             known[key] = Knowledge(spread[key], source, prior=kept)
     file = file.with_values({}, known)
-    said = findings(Fit(fitted.model, fitted.prior, fitted.covariance, ())).in_short
+    said = findings(fitted.fit).in_short
     return Rung(added, file, held_out(book, lines), judged(file, judge, differing), said)
 
 

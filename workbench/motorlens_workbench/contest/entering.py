@@ -15,8 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motorlens_physics.effect import Effect
-from motorlens_physics.estimate.delays import Delay, delays_of
-from motorlens_physics.estimate.fit import Fit
+from motorlens_physics.estimate.delays import delays_of
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed
 from motorlens_physics.threads import on_all_cores
@@ -161,8 +160,8 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     """The lag of a sensor in the place of delays, where any were found and it is likelier.
 
     Delays are found before any name is looked at, and from where they have led nothing shows of a lag. A channel may come
-    early because any other lags: that is tried of which least squares leave the least. What lags may come late besides, but
-    not early: nothing answers before it is driven.
+    early because any other lags: that is tried of which least squares leave the least. A channel that lags may come
+    late besides, but not early: nothing answers before it is driven.
     """
     if here.null is None:
         return Step()
@@ -170,14 +169,13 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     # What a look says of their sizes is bent by the delays, and need not be possible.
     faults = {score.name: score for score in here.scores if isinstance(score.entry.shape, SensorShape)}
     lags = [one for name, one in faults.items() if name.endswith("_lag") and name != "temperature_sensor_lag"]
-    if not _delays_of(fitted) or not lags:
+    if not delays_of(fitted.fit, fitted.runs) or not lags:
         return Step()
     left = on_all_cores(lambda one: at_first(begun(fitted, one)), lags)
     one = lags[int(np.argmin(left))]
     say(f"estimating anew with {one.name.replace('_', ' ')} in the place of a delay")
     end, refused = anew(begun(fitted, one)), Step(judged={one.name: 0.0})
-    channel = one.entry.hypothesis.equation
-    if end is None or any(delay.channel == channel and delay.value_s < 0 for delay in _delays_of(end)):
+    if end is None or _early(end, one.entry.hypothesis.equation):
         return refused
     if -log_chance(max(_won_by_both(here, end), 0.0), 1) < needed_weight(here, ()):
         return refused
@@ -191,8 +189,10 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     return Step(there if entered else None, entered, judged=judged, unlikely=told.unlikely)
 
 
-def _delays_of(fitted: Fitted) -> tuple[Delay, ...]:
-    return delays_of(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0), fitted.runs)
+def _early(fitted: Fitted, channel: str) -> bool:
+    """Whether a channel comes before its voltage in some run."""
+    delays = delays_of(fitted.fit, fitted.runs)
+    return any(delay.channel == channel and delay.value_s < 0 for delay in delays)
 
 
 def _won_by_both(here: Standing, fitted: Fitted) -> float:

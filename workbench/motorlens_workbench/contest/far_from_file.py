@@ -9,7 +9,6 @@ the file is wrong. Errors of what a file states follow Student's t, as everywher
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
-from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
@@ -45,7 +44,7 @@ def enter_for_file(here: Standing, say: Progress) -> Step:
 
 def far_from_file(fitted: Fitted) -> Mapping[str, str]:
     """Parameters that are far from the motor file, and what every command says of each, see `report.findings`."""
-    return findings(Fit(fitted.model, fitted.prior, fitted.covariance, (), 0.0)).far
+    return findings(fitted.fit).far
 
 
 def _fitted(here: Standing, far: Collection[str], say: Progress) -> list[tuple[Hypothesis, Fitted]]:
