@@ -21,13 +21,19 @@ from motorlens_workbench.standing import Standing, stand
 
 
 def textbook_on(
-    folder: Path, motor: str, hidden: Sequence[dict[str, Any]], test: str, seconds: float, late: int = 0
+    folder: Path,
+    motor: str,
+    hidden: Sequence[dict[str, Any]],
+    test: str,
+    seconds: float,
+    late: int = 0,
+    noise: float = 0.01,
 ) -> Standing:
-    """The textbook fitted to a test of a motor in which effects are hidden, with 1 % of noise on all channels.
+    """The textbook fitted to a test of a motor in which effects are hidden, with this share of noise on all channels.
 
     Its speed is recorded `late` by so many samples.
     """
-    case = Case(id="textbook", seed=4, motor=motor, kind="none", noise=0.01, small=True)
+    case = Case(id="textbook", seed=4, motor=motor, kind="none", noise=noise, small=True)
     path = generate_experiment({"case": case.as_json(), "hidden": list(hidden)}, test, seconds, folder)
     file = read_motor_file(case.of_motor().write_datasheet(folder / "motor.toml"))
     recording = read_recording(path)

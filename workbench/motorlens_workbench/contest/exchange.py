@@ -1,8 +1,11 @@
 """Whether a name that could stand in the place of one that has entered is likelier there, once it is fitted in full.
 
-What the linearised problem says of rivals is bent by the name that is in the model. So both are asked: how likely each is
-beside the other, seen from the model that has the one and from the model that has the other. That counts as far as blocks of
-time agree on which of the two models leaves what is likelier, as noise; and the shape that each had to take counts besides.
+What the linearised problem says of rivals is bent by the name that is in the model: that has taken the shape that explains
+most, they have theirs as the file has it. So those that are not fitted are to be less likely together than a name may be
+wrong. Of those that are, both models are asked: how likely each is beside the other, seen from the model that has the one
+and from the model that has the other. That counts as far as blocks of time agree on which of the two models leaves what is
+likelier, as noise; and the shape that each had to take counts besides. A rival that is not beyond chance in its own model
+may be what is missing as well, as far as it is likely, but does not stand in the place of a name that is.
 """
 
 from collections.abc import Sequence
@@ -15,6 +18,7 @@ from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.bayes_factor import log_shape
 from motorlens_workbench.contest.rivals import Rivals, rivals_in, rivals_of
 from motorlens_workbench.contest.worth import told_apart, worth
+from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.evidence.ledger import Lens, ledger
 from motorlens_workbench.evidence.look import best_of
 from motorlens_workbench.fitted import Accepted, Fitted
@@ -47,14 +51,24 @@ def exchanged(
     for k in range(len(names)):
         for _ in range(TRIED):
             rivals = rivals_of(here, names[k])
-            likeliest = max(rivals.probability, key=lambda name: rivals.probability[name])
-            # Of names with which the motor was estimated from the beginning some may explain nothing from here.
-            tried = (names[k].hypothesis.name, *names[k].instead)
-            if likeliest in tried or likeliest not in rivals.scores:
+            untried = _untried(rivals, names[k])
+            if sum(untried.values()) < CRITERIA.untried:
                 break
+            likeliest = max(untried, key=lambda name: untried[name])
             say(f"{likeliest} in the place of {names[k].hypothesis.name}".replace("_", " "))
             here, names[k] = _likelier(here, names[k], rivals, likeliest, own)
     return here, names
+
+
+def _untried(rivals: Rivals, accepted: Accepted) -> dict[str, float]:
+    """How likely each rival of a name is that has not been fitted in its place."""
+    known = (accepted.hypothesis.name, *accepted.instead)
+    # Of names with which the motor was estimated from the beginning some may explain nothing from here.
+    return {
+        name: likely
+        for name, likely in rivals.probability.items()
+        if name not in known and name in rivals.scores
+    }
 
 
 def _likelier(
@@ -63,7 +77,7 @@ def _likelier(
     """Where the contest stands with a name that has entered, or with a rival of this name in its place if it is likelier."""
     one, other = accepted.hypothesis, rivals.scores[name].entry.hypothesis
     try:
-        there, new = _in_its_place(here, one, other, own)
+        there, new, holds = _in_its_place(here, one, other, own)
     except ModelError:
         return here, replace(accepted, instead={**accepted.instead, name: -np.inf})
     likelier = 0.5 * (_odds(rivals, other, one) + _odds(_in_the_place_of(there, new, one), other, one))
@@ -72,7 +86,7 @@ def _likelier(
     # What recordings tell is worth no more than they agree on; how far either shape is from what it may be is known besides.
     likelier = float(np.clip(likelier, -agreed, agreed))
     likelier += log_shape(other, there.fitted) - log_shape(one, here.fitted)
-    if likelier > 0:
+    if holds and likelier > 0:
         # What others were worth beside the one they are worth as much less beside the likelier.
         instead, beside = (
             {known: how - likelier for known, how in of.items() if known != name}
@@ -96,11 +110,11 @@ def _in_the_place_of(there: Standing, new: Accepted, one: Hypothesis) -> Rivals:
 
 def _in_its_place(
     here: Standing, one: Hypothesis, other: Hypothesis, own: Sequence[type[Effect]]
-) -> tuple[Standing, Accepted]:
-    """Where the contest stands with another name in the place of one, fitted in full.
+) -> tuple[Standing, Accepted, bool]:
+    """Where the contest stands with another name in the place of one, fitted in full, and whether it is beyond chance there.
 
     Raises:
-        ModelError: no model can be fitted with it there, or it is not beyond chance.
+        ModelError: no model can be fitted with it there, or it is not told, or larger than it can be.
     """
     lacking = _fitted(without_hypothesis(here.fitted, one.name), one)
     base = stand(lacking)
@@ -110,10 +124,11 @@ def _in_its_place(
     if score is None:
         raise ModelError(f"{other.name} explains nothing there")
     end = settled(_fitted(with_hypothesis(lacking, beside, score), other))
-    accepted = worth(base, score, end, known=here).accepted(other)
-    if accepted is None:
-        raise ModelError(f"{other.name} is not beyond chance in the model that has it")
-    return stand(end, own), accepted
+    won = worth(base, score, end, known=here)
+    there = won.as_fitted(other)
+    if there is None:
+        raise ModelError(f"{other.name} is not told in the model that has it, or larger than it can be")
+    return stand(end, own), there, won.times >= 1.0
 
 
 def _fitted(fitted: Fitted | None, hypothesis: Hypothesis) -> Fitted:

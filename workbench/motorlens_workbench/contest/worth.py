@@ -145,8 +145,12 @@ class Worth:
 
     def accepted(self, hypothesis: Hypothesis) -> Accepted | None:
         """The hypothesis as it enters the model; None if it is not beyond chance there, or larger than it can be."""
+        return self.as_fitted(hypothesis) if self.times >= 1.0 else None
+
+    def as_fitted(self, hypothesis: Hypothesis) -> Accepted | None:
+        """The hypothesis as it is in its own model, by chance or not; None if it is not told, or larger than it can be."""
         score = self.score
-        if score is None or self.times < 1.0 or not self.allowed:
+        if score is None or not self.allowed:
             return None
         return Accepted(hypothesis, score.gain / score.scatter, score.scatter, score.weight, self.agreed)
 
