@@ -96,17 +96,21 @@ def test_the_doubt_of_a_correction_is_what_a_hundred_samples_leave_in_the_varian
     assert score.doubt_of(None) == pytest.approx(score.gain, rel=1e-6)
 
 
-@pytest.mark.parametrize(("less", "stands"), [(0.002, True), (0.03, False)])
-def test_a_rival_stands_beside_a_name_where_it_explains_a_few_thousandths_less(less, stands):
+@pytest.mark.parametrize(
+    ("size", "less", "stands"),
+    [(100.0, 0.002, True), (100.0, 0.03, False), (0.7, 0.03, True), (0.7, 0.3, False)],
+)
+def test_a_rival_stands_beside_a_name_where_it_explains_a_few_thousandths_less(size, less, stands):
     """No friction is a tanh: what is right in kind is a twentieth off in shape, a few thousandths of what it explains.
 
-    A name explains 10 000, a rival as much but for what the angle between both takes away.
+    A name explains the square of its size, a rival as much but for what the angle between both takes away. Where that is no
+    more than chance explains, what explains nearly as much stands beside it, and what cannot be seen does not.
     """
     rng = np.random.default_rng(2)
     name, other = np.linalg.qr(rng.standard_normal((ROWS, 2)))[0].T
-    size = 100.0
     rival = np.sqrt(1 - less) * name + np.sqrt(less) * other
-    book = book_of(name[:, None], [100 * rival[:, None]], rng.standard_normal(ROWS))
+    error = size / 100 * rng.standard_normal(ROWS)
+    book = book_of(name[:, None], [100 * rival[:, None]], error)
     (entry,) = book.entries
     hypothesis = Hypothesis("rival", "effect", "mechanical", (entry.shape,), "rival.size", 1.0)
     entry = type(entry)(hypothesis, entry.shape, entry.cross, entry.inner)

@@ -38,7 +38,8 @@ class Criteria:
         doubt: relative uncertainty of the correction for noise of the inputs: that of a variance estimated from some
             hundred independent samples.
         alike: share of what a name explains by which another may explain less and still stand in its place.
-        instead: share of what a name explains that a term without one must explain for the name not to be the whole truth.
+        instead: share of what a name explains that a term without one must explain for the name not to be the whole truth,
+            and that a rival may leave of it where nothing else tells the two apart.
         largest: multiples of its typical size that an effect or a fault may have, one standard deviation.
         tempered: how many times as wide as the likelihood says the evidence is by which names are ranked to be fitted:
             a model that lacks something bends it.
