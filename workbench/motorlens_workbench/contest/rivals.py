@@ -68,8 +68,8 @@ def rivals_in(book: Ledger, fitted: Fitted, accepted: Accepted) -> Rivals:
     # Its own column is per standard deviation of its prior, that of a rival per typical size.
     typical = itself.in_units(abs(accepted.hypothesis.typical) / prior.sd[key])
     scores[name] = replace(typical, entry=replace(itself.entry, hypothesis=accepted.hypothesis))
-    # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival; what explains nearly
-    # as much as the accepted one is, however little that is: by how much less, and how surely, is in its weight.
+    # What is no likelier than nothing there, such as what the recordings cannot know at all, is no rival; what explains
+    # nearly as much as the accepted one is, however little that is: how much less, and how surely, is in its weight.
     as_much = (1 - CRITERIA.instead) * itself.gain
     weights = {
         other: log_bayes_factor(score, scatter)
