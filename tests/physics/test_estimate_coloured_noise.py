@@ -152,7 +152,12 @@ def test_a_creeping_motor_is_not_told_by_the_noise_of_its_voltage(seed: int) -> 
 
 @pytest.mark.fit
 @pytest.mark.parametrize(
-    ("seed", "held"), [(1, True), pytest.param(2, True, marks=pytest.mark.long), (2, False)]
+    ("seed", "held"),
+    [
+        (1, True),
+        pytest.param(2, True, marks=pytest.mark.long),
+        pytest.param(2, False, marks=pytest.mark.long),
+    ],
 )
 def test_a_chirp_is_timed_as_it_was_beside_noise_that_lasts(seed: int, held: bool) -> None:
     """Smoothing leaves most of it in the voltage. Where the sensitivities held it too, all seemed to come early."""
@@ -193,7 +198,9 @@ def test_white_noise_is_not_taken_for_coloured() -> None:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize(("remains", "is_noise"), [(0.7, True), (0.995, False)])
+@pytest.mark.parametrize(
+    ("remains", "is_noise"), [pytest.param(0.7, True, marks=pytest.mark.long), (0.995, False)]
+)
 def test_what_lasts_longer_than_noise_is_none(remains: float, is_noise: bool) -> None:
     """Correlated over 3 samples, and over 200."""
     noise = fitted(TYPICAL, white=0.005, coloured=0.01, remains=remains).runs[0].noise

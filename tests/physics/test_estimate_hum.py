@@ -41,7 +41,7 @@ def fitted(channels: dict[str, np.ndarray], period_s: float, **wrong: float) -> 
     ("rate_Hz", "lines"),
     [
         (500.0, {("current", 50.03): 0.01, ("speed", 119.9): 0.01}),
-        (200.0, {("current", 149.95): 0.01}),  # folded to 50 Hz
+        pytest.param(200.0, {("current", 149.95): 0.01}, marks=pytest.mark.long),  # folded to 50 Hz
         (40.0, {("speed", 50.02): 0.01}),  # folded to 10 Hz
         (500.0, {}),
     ],

@@ -43,7 +43,7 @@ def fitted(time: np.ndarray, channels: dict[str, np.ndarray]) -> Estimate:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("late", [0, 3])
+@pytest.mark.parametrize("late", [0, pytest.param(3, marks=pytest.mark.long)])
 def test_samples_that_stand_alone_are_left_out_and_no_others(late: int) -> None:
     time, channels = driven(0.002, 1)
     rng = np.random.default_rng(2)

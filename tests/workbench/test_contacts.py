@@ -44,7 +44,7 @@ def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize(("more", "share"), [(0.3, 0.15), (1.0, 0.08)])
+@pytest.mark.parametrize(("more", "share"), [pytest.param(0.3, 0.15, marks=pytest.mark.long), (1.0, 0.08)])
 def test_spells_are_found_with_their_size_and_share(more, share):
     bad = spells(np.random.default_rng(1), share)
     ((shape,),) = [one.shapes for one in contact(1.0 + more * bad)]

@@ -63,7 +63,11 @@ def test_what_holds_a_rotor_is_known_once_it_is_fitted(
 @pytest.mark.fit
 @pytest.mark.parametrize(
     ("name", "lags_s", "late"),
-    [("speed_sensor_lag", 0.03, 10), ("current_sensor_lag", 0.004, 0), ("", 0.0, 15)],
+    [
+        ("speed_sensor_lag", 0.03, 10),
+        pytest.param("current_sensor_lag", 0.004, 0, marks=pytest.mark.long),
+        ("", 0.0, 15),
+    ],
 )
 def test_a_sensor_that_lags_is_told_from_channels_that_come_late_or_early(
     tmp_path: Path, name: str, lags_s: float, late: int
