@@ -397,3 +397,14 @@ def test_what_is_tied_to_several_is_named_with_the_closest() -> None:
     (sentence,) = _confounded(fit, tuple("abcde"), {})  # type: ignore[arg-type]
     assert sentence.startswith("a and e: these recordings tell them only together")
     assert _confounded(fit, tuple("bcde"), {}) == ()  # type: ignore[arg-type]
+
+
+def test_of_two_that_are_each_the_others_closest_it_is_said_once() -> None:
+    # Sums of sixty independent ones, of which they share forty: told alone twenty times worse, and correlated by two thirds.
+    of_each = np.eye(80)
+    first, second = (np.sum(of_each[part], axis=0) / np.sqrt(60) for part in (slice(0, 60), slice(20, 80)))
+    rows = np.block([[np.vstack([first, second]), 0.05 * np.eye(2)], [of_each, np.zeros((80, 2))]])
+    keys = ("a", "b", *(f"c{k}" for k in range(80)))
+    fit = SimpleNamespace(prior=SimpleNamespace(keys=keys), covariance=rows @ rows.T)
+    (sentence,) = _confounded(fit, keys, {})  # type: ignore[arg-type]
+    assert sentence.startswith("a and b: these recordings tell them only together (each is 20 times")

@@ -146,7 +146,7 @@ def _confounded(fit: Fit, keys: tuple[str, ...], untold: Mapping[str, str]) -> t
     table = correlation(fit, told)
     alone = dict(zip(told, np.sqrt(np.diagonal(inverse(table))), strict=True))
     unsure = [key for key in told if alone[key] > ALONE]
-    sentences = []
+    sentences: dict[frozenset[str], str] = {}
     while unsure:
         group, rest = [unsure[0]], unsure[1:]
         for key in group:
@@ -162,8 +162,10 @@ def _confounded(fit: Fit, keys: tuple[str, ...], untold: Mapping[str, str]) -> t
             group.append(told[int(np.argmax(tie))])
         names = " and ".join([", ".join(group[:-1]), group[-1]])
         least = min(alone[key] for key in group)
-        sentences.append(
+        # Of two that are each the other's closest it is said once.
+        sentences.setdefault(
+            frozenset(group),
             f"{names}: these recordings tell them only together "
-            f"(each is {least:.0f} times less certain alone than given the others)"
+            f"(each is {least:.0f} times less certain alone than given the others)",
         )
-    return tuple(sentences)
+    return tuple(sentences.values())
