@@ -44,9 +44,9 @@ class Criteria:
         tempered: how many times as wide as the likelihood says the evidence is by which names are ranked to be fitted:
             a model that lacks something bends it.
         credible: probability that a group of rivals holds.
-        untried: probability that rivals which are not fitted in the place of a name may have together: as rarely is a name
-            to be wrong. In `pytest tests/workbench/test_exchange.py` an iron core has 0.03 beside a housing before it is
-            fitted, and 0.17 after that.
+        untried: probability that rivals outside the group of a name may have together without being fitted in its place: as
+            rarely is a name to be wrong. In `pytest tests/workbench/test_exchange.py` an iron core has 0.03 beside a housing
+            before it is fitted, and 0.17 after that.
         follows: error over the noise of a channel, on what was not fitted to, from which on something is missing, even if no
             hypothesis says what: more than colour and slow noise leave in worlds with nothing missing.
         white: likelihood that colour left in the noise wins, from which on something is missing likewise: as much as it wins

@@ -1,11 +1,12 @@
 """Whether a name that could stand in the place of one that has entered is likelier there, once it is fitted in full.
 
 What the linearised problem says of rivals is bent by the name that is in the model: that has taken the shape that explains
-most, they have theirs as the file has it. So those that are not fitted are to be less likely together than a name may be
-wrong. Of those that are, both models are asked: how likely each is beside the other, seen from the model that has the one
-and from the model that has the other. That counts as far as blocks of time agree on which of the two models leaves what is
-likelier, as noise; and the shape that each had to take counts besides. A rival that is not beyond chance in its own model
-may be what is missing as well, as far as it is likely, but does not stand in the place of a name that is.
+most, they have theirs as the file has it. So those that seem likelier are fitted, and those outside its group until what is
+left of these is less likely together than a name may be wrong. Of those that are fitted both models are asked: how likely
+each is beside the other, seen from the model that has the one and from the model that has the other. That counts as far as
+blocks of time agree on which of the two models leaves what is likelier, as noise; and the shape that each had to take counts
+besides. A rival that is not beyond chance in its own model may be what is missing as well, as far as it is likely, but does
+not stand in the place of a name that is.
 """
 
 from collections.abc import Sequence
@@ -51,24 +52,31 @@ def exchanged(
     for k in range(len(names)):
         for _ in range(TRIED):
             rivals = rivals_of(here, names[k])
-            untried = _untried(rivals, names[k])
-            if sum(untried.values()) < CRITERIA.untried:
+            doubtful = _doubtful(rivals, names[k])
+            if not doubtful:
                 break
-            likeliest = max(untried, key=lambda name: untried[name])
+            likeliest = max(doubtful, key=lambda name: rivals.probability[name])
             say(f"{likeliest} in the place of {names[k].hypothesis.name}".replace("_", " "))
             here, names[k] = _likelier(here, names[k], rivals, likeliest, own)
     return here, names
 
 
-def _untried(rivals: Rivals, accepted: Accepted) -> dict[str, float]:
-    """How likely each rival of a name is that has not been fitted in its place."""
-    known = (accepted.hypothesis.name, *accepted.instead)
+def _doubtful(rivals: Rivals, accepted: Accepted) -> list[str]:
+    """The rivals of a name of which it matters what they are once they are fitted, and that have not been.
+
+    Those that seem likelier; else those outside the group of the name, if they have more than too little together.
+    """
+    own, known = accepted.hypothesis.name, accepted.instead
     # Of names with which the motor was estimated from the beginning some may explain nothing from here.
-    return {
+    untried = {
         name: likely
         for name, likely in rivals.probability.items()
-        if name not in known and name in rivals.scores
+        if name != own and name not in known and name in rivals.scores
     }
+    likelier = [name for name, likely in untried.items() if likely > rivals.probability[own]]
+    group = rivals.group
+    outside = [name for name in untried if name not in group]
+    return likelier or (outside if sum(untried[name] for name in outside) > CRITERIA.untried else [])
 
 
 def _likelier(
