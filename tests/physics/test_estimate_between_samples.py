@@ -1,14 +1,18 @@
 """How inputs ran between samples, of recordings by an integrator of its own in which it is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import plain_motor
 from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL, simulated
 
-from motorlens_physics.estimate import between_samples
+from motorlens_physics.estimate import between_samples, timing
 from motorlens_physics.estimate.between_samples import as_they_ran, otherwise
 from motorlens_physics.estimate.estimate import Estimate, estimate
+from motorlens_physics.estimate.fit import NEAR, fit, start_model
 from motorlens_physics.estimate.prepare import prepare_all
+from motorlens_physics.estimate.timing import ROUGHLY, Timing, same
 from motorlens_physics.estimate.weighed import weighed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
@@ -130,3 +134,39 @@ def test_inputs_did_not_run_as_no_motor_can_be_simulated(monkeypatch, held: bool
         assert run.inputs.hold[0] is not held
     able.clear()
     assert all(run is point.parts[0].run for (run,) in as_they_ran(point, prior))
+
+
+@pytest.mark.fit
+def test_two_rough_fits_are_the_same_if_both_are_near_one_minimum() -> None:
+    """Least squares lead to the same from the motor file as from where that ends. Farther off than both may be is another."""
+    found = fitted("steps", True, 1)
+    runs = [run.as_recorded for run in found.runs]
+    began, went_on = (
+        fit(model, runs, found.fit.prior, rounds=NEAR, enough=ROUGHLY)
+        for model in (start_model(found.fit.model.file, runs), found.fit.model)
+    )
+    assert same(began, went_on) and same(went_on, began)
+    values, sd = began.model.values(), began.sd()
+    for deviations, alike in ((1.9, True), (2.1, False)):
+        # Along a parameter's own deviation beside the others, where all of them go along.
+        at = began.prior.keys.index("J")
+        along = began.covariance[at] / sd["J"]
+        moved = {
+            key: values[key] + deviations * step for key, step in zip(began.prior.keys, along, strict=True)
+        }
+        assert same(began, replace(began, model=began.model.with_values(moved))) == alike
+    assert not same(began, replace(began, left=1.1 * ROUGHLY))
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize(("alike", "minimised"), [(True, 1), (False, 2)])
+def test_a_way_is_fitted_to_the_end_once_where_both_begins_lead_to_the_same(
+    monkeypatch: pytest.MonkeyPatch, alike: bool, minimised: int
+) -> None:
+    """And either way it is told as well how the voltage ran."""
+    to_the_end, asked = Timing._from, []
+    monkeypatch.setattr(timing, "same", lambda one, other: alike)
+    monkeypatch.setattr(Timing, "_from", lambda *a: asked.append(1) or to_the_end(*a))
+    assert fitted("steps", True, 1).fit.model.held[0][0]
+    # The first is that with which all begins.
+    assert len(asked) == 1 + minimised

@@ -1,5 +1,6 @@
 """How noisy a signal is, and the signal without its noise, its steps kept."""
 
+from collections.abc import Iterable
 from math import comb
 from typing import NamedTuple
 
@@ -219,11 +220,13 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None, lasting: Last
     begins = np.linspace(0, len(z) - look, LOOKS).astype(int) if len(z) > LOOKS * look else [0]
     looks = [z[begin : begin + look] if len(begins) > 1 else z for begin in begins]
 
-    def likeliest(rounds: int) -> float:
-        losses = [sum(_loss(_foretold(look, walk, rounds, apart, noise)) for look in looks) for walk in walks]
-        return float(walks[int(np.argmin(losses))])
+    def missed(walk: float, rounds: int) -> float:
+        return float(sum(_loss(_foretold(look, walk, rounds, apart, noise)) for look in looks))
 
-    evenly, unevenly = likeliest(1), likeliest(ROUNDS)
+    first = int(np.argmin([missed(walk, 1) for walk in walks]))
+    # Between steps of its own a slope wanders no faster than without them.
+    unevenly = walks[first + _first_least(missed(walk, ROUNDS) for walk in walks[first:])]
+    evenly = walks[first]
     even, uneven = _foretold(z, evenly, 1, apart, noise), _foretold(z, unevenly, ROUNDS, apart, noise)
     if _loss(uneven) < _loss(even) and np.median(uneven) < FORETOLD:
         return np.asarray(all_sd * _trend(z, unevenly, ROUNDS, 0, *noise)[0])
@@ -231,6 +234,20 @@ def smoothed(y: Array, step: float = 0.0, sd: float | None = None, lasting: Last
     told = [_trend(z, walk, 1, 0, *noise) for walk in walks]
     level, _, error, _ = min(told, key=lambda one: one[3] if lasting.sd else one[2])
     return y.copy() if error > 2 and not lasting.sd else np.asarray(all_sd * level)
+
+
+def _first_least(values: Iterable[float]) -> int:
+    """The position of the first of some numbers that the next one does not fall below; those after it are not asked for.
+
+    >>> _first_least(iter([3.0, 2.0, 2.5, 1.0]))
+    1
+    """
+    k, least = -1, float("inf")
+    for value in values:
+        if value >= least:
+            break
+        k, least = k + 1, value
+    return max(k, 0)
 
 
 def _foretold(z: Array, walk: float, rounds: int, apart: int, noise: tuple[float, float, float]) -> Array:

@@ -8,9 +8,11 @@ there.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from motorlens_physics.estimate.between_samples import as_they_ran, gained_without_noise
 from motorlens_physics.estimate.delays import LONGEST, likeliest_lag, nearer, realigned
-from motorlens_physics.estimate.fit import NEAR, fit, white
+from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse, white
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.pieces import as_found, cut, starting_as
@@ -30,6 +32,8 @@ from motorlens_runtime.errors import ModelError
 
 # How often channels that are late are looked for again.
 REALIGNED = 4
+# How near to the minimum a rough fit ends, in standard deviations of the result.
+ROUGHLY = 1.0
 
 
 def moved(point: Weighed, prior: Prior, progress: Callable[[str], None]) -> Weighed:
@@ -75,9 +79,7 @@ class Timing:
 
     def near(self, model: Model, runs: Sequence[Run]) -> Weighed:
         """The point near the best parameters of runs, from a model."""
-        runs = [replace(run, corrections=None) for run in runs]
-        rough = fit(model, runs, self.straight, rounds=NEAR, enough=1.0)
-        return self._minimised(self._begun(rough.model, runs))
+        return self._from(self._rough(model, runs), runs)
 
     def likeliest(self, point: Weighed, *, free: bool) -> Weighed:
         """The point with the likeliest timing; how inputs ran stays as it is unless it is `free`."""
@@ -119,7 +121,7 @@ class Timing:
         runs = [replace(run, corrections=None) for run in point.runs]
         start = replace(self.begin, held=point.model.held)
         try:
-            rough = fit(start, runs, replace(self, prior=rest).straight, rounds=NEAR, enough=1.0)
+            rough = fit(start, runs, replace(self, prior=rest).straight, rounds=NEAR, enough=ROUGHLY)
             near, _, _ = minimised(begun(rough.model, runs, rest), rest, self.progress, outliers=False)
             other = moved(self._minimised(at(near.model, near, self.prior)), self.prior, self.progress)
             return other if gained(point, other, self.prior) > 0 else point
@@ -153,10 +155,13 @@ class Timing:
         try:
             # Parameters fitted to inputs that ran otherwise have made up for it, and may lead astray.
             on, afresh = (
-                self.near(replace(start, held=held), runs)
+                self._rough(replace(start, held=held), runs)
                 for start in (point.model.with_values(none), self.begin)
             )
-            other = afresh if gained_without_noise(on, afresh, self.prior) > needed(1) else on
+            other = self._from(on, runs)
+            if not same(on, afresh):
+                another = self._from(afresh, runs)
+                other = another if gained_without_noise(other, another, self.prior) > needed(1) else other
             won = gained_without_noise(point, other, self.prior)
         except ModelError:
             # Inputs that lead where no motor can be simulated did not run so.
@@ -185,7 +190,9 @@ class Timing:
         along = tuple(replace(run, corrections=None) for run in runs)
         # What is late has bent the fit: it begins anew without it, and where that ends must hold the promise.
         start = replace(self.begin, held=point.model.held)
-        along, rough = nearer(along, fit(start, along, self.straight, rounds=NEAR, enough=1.0), self.straight)
+        along, rough = nearer(
+            along, fit(start, along, self.straight, rounds=NEAR, enough=ROUGHLY), self.straight
+        )
         other = self._minimised(self._begun(rough.model, along))
         return other if gained(point, other, self.prior) > needed(tried) else point
 
@@ -197,14 +204,14 @@ class Timing:
         """
         start = replace(self.begin, held=point.model.held)
         still = [replace(run, corrections=None) for run in point.runs]
-        first = fit(start, still, self.straight, rounds=NEAR, enough=1.0)
+        first = fit(start, still, self.straight, rounds=NEAR, enough=ROUGHLY)
         begun_at = likeliest = white(first, still)
         best, tried = still, 0
         for channel in sorted({c for run in still for c in run.channels if c != "temperature"}):
             samples, model, last = 2, first.model, begun_at
             while samples <= LONGEST * min(len(run.measured) for run in still):
                 moved = [run.delayed(channel, samples) if channel in run.channels else run for run in still]
-                found = fit(model, moved, self.straight, rounds=NEAR, enough=1.0)
+                found = fit(model, moved, self.straight, rounds=NEAR, enough=ROUGHLY)
                 here, tried = white(found, moved), tried + 1
                 if here >= last:
                     break
@@ -212,6 +219,13 @@ class Timing:
                     best, likeliest = moved, here
                 samples, model, last = 2 * samples, found.model, here
         return None if best is still else (best, tried)
+
+    def _rough(self, model: Model, runs: Sequence[Run]) -> Fit:
+        along = [replace(run, corrections=None) for run in runs]
+        return fit(model, along, self.straight, rounds=NEAR, enough=ROUGHLY)
+
+    def _from(self, rough: Fit, runs: Sequence[Run]) -> Weighed:
+        return self._minimised(self._begun(rough.model, [replace(run, corrections=None) for run in runs]))
 
     def _begun(self, model: Model, runs: Sequence[Run]) -> Weighed:
         if self.noises is None:
@@ -221,3 +235,12 @@ class Timing:
     def _minimised(self, point: Weighed) -> Weighed:
         # While parameters are wrong, a large error is theirs, and every sample counts.
         return minimised(point, self.prior, self.progress, outliers=False)[0]
+
+
+def same(one: Fit, other: Fit) -> bool:
+    """Whether two rough fits of the same runs have ended about the same minimum: each near one, and no farther apart."""
+    keys = one.prior.keys
+    here, there = one.model.values(), other.model.values()
+    apart = np.array([there[key] - here[key] for key in keys])
+    farthest = max(one.left, other.left)
+    return farthest < ROUGHLY and float(apart @ inverse(one.covariance) @ apart) < (2 * ROUGHLY) ** 2
