@@ -138,7 +138,7 @@ def test_inputs_did_not_run_as_no_motor_can_be_simulated(monkeypatch, held: bool
 
 @pytest.mark.fit
 def test_two_rough_fits_are_the_same_if_both_are_near_one_minimum() -> None:
-    """Least squares lead to the same from the motor file as from where that ends. Farther off than both may be is another."""
+    """Least squares lead to the same from the motor file as from where that ends; what is farther off is another."""
     found = fitted("steps", True, 1)
     runs = [run.as_recorded for run in found.runs]
     began, went_on = (
