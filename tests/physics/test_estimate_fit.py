@@ -60,7 +60,9 @@ def prior_of(*bounds: tuple[float, float]) -> Prior:
     return Prior(dict.fromkeys(keys, 1.0), dict.fromkeys(keys, FREE), dict(zip(keys, bounds, strict=True)))
 
 
-def searched(begin: Problem, prior: Prior, *, seen: float = 0.0) -> tuple[Problem, float, list[Problem]]:
+def searched(
+    begin: Problem, prior: Prior, *, seen: float = 0.0, shown: Callable[[Problem], Problem] | None = None
+) -> tuple[Problem, float, list[Problem]]:
     """Where a search ends, how far from the minimum, and the points that were looked at; all but the first cost `seen`."""
     tried: list[Problem] = []
 
@@ -72,6 +74,7 @@ def searched(begin: Problem, prior: Prior, *, seen: float = 0.0) -> tuple[Proble
         begin,
         prior,
         at,  # type: ignore[arg-type]
+        at if shown is None else shown,  # type: ignore[arg-type]
         rounds=100,
         enough=1e-3,
         anew=lambda point: replace(point, seen=seen),
@@ -120,6 +123,27 @@ def test_a_step_that_is_refused_turns_into_the_valley() -> None:
     assert left < 1e-3
     assert end.at == pytest.approx((1.0, 1.0), abs=1e-4)
     assert len(tried) < 20
+
+
+def test_once_a_step_is_refused_sensitivities_are_asked_for_only_where_the_next_one_costs_less() -> None:
+    # Newton's steps towards the root of an arc tangent lead farther and farther away from beyond 1.39.
+    far = Problem(np.arctan, (8.0,))
+    prior, glances = prior_of((-FREE, FREE)), []
+
+    def shown(problem: Problem) -> Problem:
+        glances.append(problem)
+        return problem
+
+    end, left, looked = searched(far, prior, shown=shown)
+    same, also, every = searched(far, prior)
+    # The way is the same, and fewer of its points are looked at in full, none of them twice.
+    assert (end.at, left) == (same.at, also) and left < 1e-3
+    assert len(set(looked)) == len(looked) < len(set(every)) == len({*looked, *glances})
+    # Where a step has led that is not refused, nothing else is asked.
+    line = Problem(lambda at: np.array([3 - at[0], 1 - 2 * at[0]]), (4.0,))
+    glances.clear()
+    assert searched(line, prior, shown=shown)[0].at == pytest.approx((1.0,), abs=1e-4)
+    assert not glances
 
 
 def test_nothing_that_can_only_be_positive_falls_to_its_bound_in_one_step() -> None:

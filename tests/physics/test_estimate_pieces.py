@@ -14,7 +14,7 @@ from motorlens_physics.estimate.pieces import as_found
 from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import at, first_point
+from motorlens_physics.estimate.weighed import at, first_point, shown_at
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated
@@ -156,7 +156,14 @@ def test_one_step_ahead_is_nearly_the_cost_where_a_search_ends() -> None:
     off = begin.with_values({"ke": 1.02 * found.model.values()["ke"]})
     rest = prior.only([key for key in prior.keys if key != "ke"])
     start = at(found.model.with_values({"ke": off.values()["ke"]}), found, rest)
-    other, _, left = minimise(start, rest, lambda model: at(model, found, rest), rounds=50, enough=0.1)
+    other, _, left = minimise(
+        start,
+        rest,
+        lambda model: at(model, found, rest),
+        lambda model: shown_at(model, found),
+        rounds=50,
+        enough=0.1,
+    )
     more = other.cost + rest.penalty(other.model.values()) - ended
     assert left < 0.1 and more > 100
     assert one_step_ahead(found, runs, rest, off) - ahead == pytest.approx(more, rel=0.2)

@@ -12,7 +12,7 @@ from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise,
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.prior import Prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Weighed, minimised, needed, weighed
+from motorlens_physics.estimate.weighed import Weighed, minimised, needed, shown_at, weighed
 from motorlens_physics.estimate.weighed import begun as first_noise_of
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.ledger import Beside
@@ -47,6 +47,7 @@ def _refit(point: Weighed, prior: Prior, runs: Sequence[Run]) -> Fitted | None:
             point,
             prior,
             lambda trial: _point(trial, prior, runs),
+            lambda trial: shown_at(trial, point),
             rounds=ROUNDS,
             enough=ENOUGH,
         )

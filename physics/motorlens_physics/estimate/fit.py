@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from motorlens_physics.estimate.model import Model, sensitivities_of
+from motorlens_physics.estimate.model import Model, predict, sensitivities_of
 from motorlens_physics.estimate.prior import Prior, nuisance_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.motor_file import MotorFile
@@ -103,6 +103,7 @@ def minimise(
     begin: P,
     prior: Prior,
     at: Callable[[Model], P],
+    shown: Callable[[Model], P],
     *,
     rounds: int,
     enough: float,
@@ -117,6 +118,7 @@ def minimise(
         begin: where to begin.
         prior: the free parameters.
         at: the point at a model.
+        shown: the same without its sensitivities, which is known much sooner: once a step is refused, so may the next be.
         rounds: at most this many steps.
         enough: stop this close to the minimum, in standard deviations of the result.
         damping: of the first step, a share of the diagonal.
@@ -137,13 +139,17 @@ def minimise(
     gram, left = np.diag(prior.width(begin.model.values()) ** -2.0), float("inf")
     before, whole, share, swings = (point, gram, left), np.zeros(len(keys)), 1.0, False
 
-    def tried(step: Array) -> tuple[P | None, float]:
-        """Where a step leads, and what it costs there as the point it starts from sees it."""
+    def tried(step: Array, again: bool) -> tuple[P | None, float]:
+        """Where a step leads, and what it costs there as the point it starts from sees it; sensitivities if that is less."""
         values = point.model.values()
         there = dict(zip(keys, (_vector(values, keys) + step).tolist(), strict=True))
+        trial, reached = None, np.inf
         try:
-            trial = at(point.model.with_values(there))
-            reached = trial.cost_in(point) + prior.penalty(trial.model.values())
+            for see in (shown, at) if again else (at,):
+                trial = see(point.model.with_values(there))
+                reached = trial.cost_in(point) + prior.penalty(trial.model.values())
+                if not reached < cost:
+                    break
         except ModelError:
             return None, np.inf
         return (trial, reached) if np.isfinite(reached) else (None, np.inf)
@@ -168,14 +174,18 @@ def minimise(
         before = point, gram, left
         share = _share(share, last, whole, gram)
         moved, fresh = False, False
-        for _ in range(TRIES):
+        for attempt in range(TRIES):
             step = share * _step(point.model.values(), prior, gram, gradient, damping)
-            trial, reached = tried(step)
+            trial, reached = tried(step, again=attempt > 0 and left >= FLAT)
             if trial is not None and reached >= cost and left >= FLAT:
                 turned = _turned(step, point, trial, prior, gram, gradient, damping)
                 # A curve that ends soon bends too much to be known from as far away as that.
-                half = tried(step / 2) if _length(turned, gram) < _length(step, gram) / 2 else (None, np.inf)
-                trial, reached = half if half[1] < cost else tried(turned)
+                half = (
+                    tried(step / 2, again=True)
+                    if _length(turned, gram) < _length(step, gram) / 2
+                    else (None, np.inf)
+                )
+                trial, reached = half if half[1] < cost else tried(turned, again=True)
             if trial is not None and (reached < cost or left < FLAT):
                 point, moved = trial, True
                 break
@@ -386,6 +396,21 @@ class _Averaged:
         residuals, columns = zip(*on_all_cores(one, range(len(runs))), strict=True)
         return cls(model, runs, keys, mine, residuals, columns)
 
+    @classmethod
+    def shown(cls, model: Model, runs: Sequence[Run], keys: tuple[str, ...]) -> "_Averaged":
+        """The same without sensitivities.
+
+        Raises:
+            ModelError: a simulation cannot go on.
+        """
+
+        def one(r: int) -> Array:
+            return runs[r].average(
+                runs[r].measured - predict(model, replace(runs[r], corrections=None), r)[1]
+            )
+
+        return cls(model, runs, keys, (), tuple(on_all_cores(one, range(len(runs)))), ())
+
     @property
     def cost(self) -> float:
         return sum(float(np.sum(self._errors(r) ** 2)) for r in range(len(self.runs)))
@@ -395,7 +420,7 @@ class _Averaged:
 
     def products_in(self, other: Self) -> tuple[Array, float]:
         products, overlap = np.zeros(len(self.keys)), 0.0
-        for r, (run, mine) in enumerate(zip(self.runs, self.mine, strict=True)):
+        for r, (run, mine) in enumerate(zip(self.runs, other.mine, strict=True)):
             z = (other.columns[r][run.fresh()] / self.sizes[r][:, None]).reshape(-1, len(mine))
             errors = self._errors(r).ravel()
             products[mine] += z.T @ errors
@@ -434,12 +459,15 @@ def fit(model: Model, runs: Sequence[Run], prior: Prior, *, rounds: int = 12, en
     def at(trial: Model) -> _Averaged:
         return replace(_Averaged.at(trial, runs, prior.keys), sizes=latest[0])
 
+    def shown(trial: Model) -> _Averaged:
+        return replace(_Averaged.shown(trial, runs, prior.keys), sizes=latest[0])
+
     def between(here: _Averaged) -> _Averaged:
         latest[0] = [_sizes(residual, run) for residual, run in zip(here.residuals, runs, strict=True)]
         return replace(here, sizes=latest[0])
 
     end, gram, left = minimise(
-        at(model), prior, at, rounds=rounds, enough=enough, between=between, damping=1e-3
+        at(model), prior, at, shown, rounds=rounds, enough=enough, between=between, damping=1e-3
     )
     return Fit(end.model, prior, inverse(gram), end.residuals, left)
 

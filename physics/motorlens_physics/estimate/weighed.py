@@ -327,6 +327,24 @@ def at(model: Model, latest: Weighed, prior: Prior) -> Weighed:
     return replace(other, inflation=latest.inflation)
 
 
+def shown_at(model: Model, latest: Weighed) -> Weighed:
+    """The same without sensitivities and not linearised, to be seen in the frames of the latest.
+
+    Raises:
+        ModelError: a simulation cannot go on.
+    """
+
+    def one(r: int) -> Errors:
+        part, frame = latest.parts[r], latest.frames[r]
+        difference = part.run.measured - predict(model, part.run.holding(model.held[r]), r)[1]
+        none = np.empty((*difference.shape, 0))
+        return replace(
+            part, difference=difference, columns=none, mine=(), frame=frame, error=frame.error(difference)
+        )
+
+    return replace(latest, model=model, parts=tuple(on_all_cores(one, range(len(latest.parts)))))
+
+
 def noisier(point: Weighed, updates: int, *, lasting_too: bool = False, outliers: bool = False) -> Weighed:
     """The same point under the noise that its errors show."""
 
@@ -394,7 +412,7 @@ def minimised(
         return at(here.model, here, prior)
 
     end, gram, left = minimise(
-        point, prior, lambda model: at(model, latest[0], prior), rounds=ROUNDS,
+        point, prior, lambda model: at(model, latest[0], prior), lambda model: shown_at(model, latest[0]), rounds=ROUNDS,
         enough=ENOUGH if outliers else CLOSE, between=between, anew=anew, progress=progress,
     )  # fmt: skip
     return end, gram, left
