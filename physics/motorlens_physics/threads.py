@@ -3,11 +3,14 @@
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
+from contextvars import ContextVar, copy_context
 from typing import TypeVar
 
 T = TypeVar("T")
 U = TypeVar("U")
+
+# Whether all cores have work from further out: more threads would only wait for each other.
+_BUSY: ContextVar[bool] = ContextVar("busy", default=False)
 
 
 def cores() -> int:
@@ -18,12 +21,22 @@ def cores() -> int:
 def on_all_cores(function: Callable[[T], U], items: Iterable[T]) -> list[U]:
     """What the function makes of each item, in their order; each in the context of the caller, numpy's of errors included.
 
+    One after the other where there is but one item, or where this is itself part of work that goes on on every core.
+
     Raises:
         Exception: the first that the function raises.
 
     >>> on_all_cores(abs, [-1, 2])
     [1, 2]
     """
-    each = [(copy_context(), item) for item in items]
-    with ThreadPoolExecutor(cores()) as pool:
-        return list(pool.map(lambda one: one[0].run(function, one[1]), each))
+    items = list(items)
+    if len(items) < 2 or _BUSY.get():
+        return [function(item) for item in items]
+
+    def one(item: T) -> U:
+        _BUSY.set(len(items) >= cores())
+        return function(item)
+
+    contexts = [copy_context() for _ in items]
+    with ThreadPoolExecutor(min(cores(), len(items))) as pool:
+        return list(pool.map(lambda context, item: context.run(one, item), contexts, items))

@@ -61,7 +61,7 @@ def test_spells_are_found_with_their_size_and_share(more, share):
     [
         {},
         {"noise": 10.0},
-        {"resistance": np.where(np.arange(N) > N // 2, 1.3, 1.0)},
+        pytest.param({"resistance": np.where(np.arange(N) > N // 2, 1.3, 1.0)}, marks=pytest.mark.long),
         {"spikes_V": 40.0},
         # As often less as more: that is no contact.
         {

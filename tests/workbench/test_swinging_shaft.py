@@ -92,7 +92,8 @@ def disc(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("torque_Nm", [pytest.param(0.04, marks=pytest.mark.long), 0.101])
+@pytest.mark.long
+@pytest.mark.parametrize("torque_Nm", [0.04, 0.101])
 def test_gravity_on_a_disc_is_found_where_another_motor_and_timing_make_up_for_it(torque_Nm: float) -> None:
     """Only its angle was measured, and its plate is guessed: what it swings is as heavy as the motor is strong, or less.
 

@@ -1,0 +1,45 @@
+"""Work on all cores, beside the same work done one item after the other."""
+
+import threading
+from contextvars import ContextVar
+
+import pytest
+
+from motorlens_physics import threads
+from motorlens_physics.threads import on_all_cores
+
+SET: ContextVar[int] = ContextVar("set", default=0)
+
+
+@pytest.fixture(autouse=True)
+def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+
+
+def test_both_cores_work_at_the_same_time() -> None:
+    both = threading.Barrier(2)
+    assert sorted(on_all_cores(lambda item: (both.wait(timeout=60.0), item)[1], [1, 2])) == [1, 2]
+
+
+@pytest.mark.parametrize(("items", "beside"), [(1, 2), (2, 1), (5, 1)])
+def test_work_within_work_is_spread_only_where_a_core_is_idle(items: int, beside: int) -> None:
+    def inner(item: int) -> int:
+        return threading.get_ident()
+
+    def outer(item: int) -> int:
+        return len({threading.get_ident(), *on_all_cores(inner, range(2))} - {threading.get_ident()})
+
+    # An item alone is done where it is asked for, and what is within it on threads of its own.
+    assert all((others > 0) == (beside == 2) for others in on_all_cores(outer, range(items)))
+
+
+def test_the_context_is_the_callers_and_stays_as_it_was() -> None:
+    SET.set(7)
+    assert on_all_cores(lambda item: (SET.get(), SET.set(item))[0], [1, 2, 3]) == [7, 7, 7]
+    assert SET.get() == 7
+
+
+@pytest.mark.parametrize("items", [[0], [0, 1], [3, 0, 0]])
+def test_the_first_error_is_raised(items: list[int]) -> None:
+    with pytest.raises(ZeroDivisionError, match="division"):
+        on_all_cores(lambda item: 1 / item, items)
