@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.inputs import Inputs
 from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import sensor_catalogue
+from motorlens_physics.simulation import simulate
 from motorlens_workbench import experiments
 from motorlens_workbench.diagnose import Finding, diagnose
 from motorlens_workbench.experiments import Experiment, propose
@@ -86,7 +88,67 @@ def test_no_test_is_offered_that_takes_longer_than_a_working_day(
 ) -> None:
     """A drive without a back-EMF to speak of has a time constant of minutes: its slow ramp would take 15 hours."""
     monkeypatch.setattr(experiments, "_of_scenario", lambda *of: (np.eye(1), seconds))
-    monkeypatch.setattr(experiments, "_apart", lambda asked, gram: (1e6 * gram[0, 0], 0.0))
-    asked = SimpleNamespace(gram=np.zeros((1, 1)), scatter=1.0)
-    took = experiments._needed(asked, "slow_ramp", {}, (), np.random.default_rng(0))  # type: ignore[arg-type]
-    assert took == (seconds if offered else None)
+    monkeypatch.setattr(experiments, "_apart", lambda asked, gram: ({("a", "b"): 1e6 * gram[0, 0]}, 0.0))
+    asked = SimpleNamespace(gram=np.zeros((1, 1)), scatter=1.0, names=("a", "b"))
+    took = experiments._told(asked, "slow_ramp", {}, (), np.random.default_rng(0))  # type: ignore[arg-type]
+    assert took == (((("a",), ("b",)), seconds) if offered else None)
+
+
+@pytest.mark.parametrize(
+    ("far", "parts", "times"),
+    [
+        # Each pair by another length of the run; at a tenth of it b is told from c, but both not from a.
+        ({"ab": 1.0, "ac": 1.0, "bc": 10.0}, (("a",), ("b",), ("c",)), 1.0),
+        ({"ab": 1.0, "ac": 1.0, "bc": 0.0}, (("a",), ("b", "c")), 1.0),
+        ({"ab": 0.0, "ac": 0.0, "bc": 10.0}, None, 0.0),
+    ],
+)
+def test_a_group_is_in_parts_of_which_no_two_are_left_together(
+    monkeypatch: pytest.MonkeyPatch,
+    far: dict[str, float],
+    parts: tuple[tuple[str, ...], ...] | None,
+    times: float,
+) -> None:
+    needed = experiments.SETTLED
+
+    def apart(asked: object, gram: np.ndarray) -> tuple[dict[tuple[str, str], float], float]:
+        return {(pair[0], pair[1]): 1.001 * needed * share * gram[0, 0] for pair, share in far.items()}, 0.0
+
+    monkeypatch.setattr(experiments, "_apart", apart)
+    monkeypatch.setattr(experiments, "_of_scenario", lambda *of: (np.eye(1), 100.0))
+    asked = SimpleNamespace(gram=np.zeros((1, 1)), scatter=1.0, names=("a", "b", "c"))
+    told = experiments._told(asked, "load_steps", {}, (), np.random.default_rng(0))  # type: ignore[arg-type]
+    assert told == (None if parts is None else (parts, 100.0 * times))
+
+
+@pytest.mark.fit
+def test_a_run_both_ways_tells_a_drop_from_offsets_that_no_run_tells_from_each_other(rough) -> None:
+    """One way all are a constant voltage. A drop turns with the current, and offsets do not."""
+    file = read_motor_file(MOTOR)
+    drop = replace(catalogue()["brush_voltage_drop"].typical(file.rated), V_b=4.0)
+    time = np.arange(SAMPLES) * 0.005
+    volts = 150.0 + 40.0 * np.sin(2 * np.pi * time / 4.0)
+    # The motor never brakes: its current has one sign throughout.
+    load = 8.0 + 2.0 * np.sin(2 * np.pi * time / 5.0)
+    inputs = Inputs(time, volts, load, np.full(SAMPLES, 25.0))
+    truth = simulate(file.motor.with_effect(drop), inputs)
+    rng = np.random.default_rng(8)
+    shown = {
+        "voltage": volts,
+        "current": truth.states["i"],
+        "speed": truth.states["w"],
+        "load_torque": load,
+    }
+    assert shown["current"][400:].min() > 1.0
+    channels = {q: y + NOISE[q] * rng.standard_normal(SAMPLES) for q, y in shown.items()}
+    channels["ambient"] = np.full(SAMPLES, 25.0)
+    recording = Recording("one way.csv", time[400:], {q: y[400:] for q, y in channels.items()})
+    verdict, experiment = proposed(diagnose(rough, [recording]))
+    group = next(group for group in verdict.groups if "brush_voltage_drop" in group)
+    offsets = {"speed_sensor_offset", "voltage_sensor_offset"}
+    assert {"dead_time", *offsets} <= set(group)
+    assert experiment is not None and experiment.test and experiment.separates == group
+    assert sorted(map(len, experiment.parts)) == [*(1,) * (len(group) - 2), 2]
+    assert set(experiment.parts[-1]) == offsets and set(experiment.check) == {"speed", "voltage"}
+    assert "it leaves" in experiment.why and "no run" not in experiment.why
+    assert experiment.sentence.startswith("To tell ") and " or speed sensor offset" in experiment.sentence

@@ -6,12 +6,13 @@ recording is added to that of the old ones, which know the base parameters alrea
 Hunter and Reiner (1965), Designs for discriminating between two rival models, doi:10.1080/00401706.1965.10490265.
 
 Where no run with the sensors at hand is enough, one with a further sensor may be, or one without the torque sensor and
-anything else on the shaft: what the shaft does not bear, no sensor can report wrongly. Where none is, only a reference
-instrument tells.
+anything else on the shaft: what the shaft does not bear, no sensor can report wrongly. Where none tells all apart, the one
+is proposed that leaves fewest together; where none tells anything, only a reference instrument does.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,7 @@ class Experiment:
     Attributes:
         test: the scenario's name, "" if none would.
         separates: the rivals.
+        parts: these, those together that it does not tell from each other.
         seconds: how long to record.
         why: a sentence.
         with_sensor: the quantity to measure beside those recorded so far, "" if they are enough.
@@ -67,11 +69,35 @@ class Experiment:
 
     test: str
     separates: tuple[str, ...]
+    parts: tuple[tuple[str, ...], ...]
     seconds: float
     why: str
     with_sensor: str = ""
     bare: bool = False
     check: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """For the reader."""
+        apart = self.parts if len(self.parts) > 1 else [(name,) for name in self.separates]
+        return f"To tell {_listed([_said(' or '.join(part)) for part in apart])} apart: {self.why}"
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A run that may be made.
+
+    Attributes:
+        test: the scenario's name.
+        way: how it is measured: which is new of the outputs, and whether the shaft is bare.
+        parts: the group as it tells it apart.
+        seconds: how long it takes.
+    """
+
+    test: str
+    way: tuple[str, bool]
+    parts: tuple[tuple[str, ...], ...]
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -126,6 +152,11 @@ class _Question:
         )
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """All of the group, the accepted one first."""
+        return (self.winner, *(rival.name for rival in self.rivals))
+
+    @property
     def winner(self) -> str:
         """The one that was accepted."""
         return self.accepted.hypothesis.name
@@ -137,30 +168,43 @@ def _labels(rival: Hypothesis) -> list[list[str]]:
 
 
 def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Experiment | None:
-    """The shortest test that tells the first ambiguous group apart; None where there is no group."""
+    """The shortest test that tells the first ambiguous group apart, or most of it; None where there is no group."""
     group = next((group for group in verdict.groups if len(group) > 1), None)
     if group is None:
         return None
     asked = _Question.of(found, group)
     recorded = tuple(sorted({c for run in found.runs for c in run.channels}))
     known = tuple(sorted({q for run in found.runs for q in run.known if q == "load_torque"}))
+    best: _Run | None = None
     for measured, also, bare in _ways(recorded, known):
         shown = {*measured, "voltage", "ambient", *(() if bare else known)}
-        needed = {
-            name: _needed(asked, name, _floor(found, measured), shown, rng)
-            for name in scenarios()
-            if name != "duty"
-        }
-        if enough := [(seconds, name) for name, seconds in needed.items() if seconds is not None]:
-            seconds, name = min(enough)
-            how = f" with the {_said(also)} measured as well" if also else ""
-            how += " with nothing on the shaft, the torque sensor taken off" if bare else ""
-            why = f"run {name} for {seconds:.0f} s{how}"
-            return Experiment(name, group, round(seconds, 1), why, also, bare)
-    check = tuple(dict.fromkeys(channel for name in group if (channel := _channel_of(name))))
-    return Experiment(
-        "", group, 0.0, "no run of this motor tells them apart" + _by_reference(group, check), check=check
-    )
+        for name in scenarios():
+            told = None if name == "duty" else _told(asked, name, _floor(found, measured), shown, rng)
+            if told is None:
+                continue
+            run = _Run(name, (also, bare), *told)
+            # The simplest way comes first: another must tell more.
+            if best is None or (len(run.parts), run.way == best.way, -run.seconds) > (
+                len(best.parts), True, -best.seconds
+            ):  # fmt: skip
+                best = run
+        if best is not None and len(best.parts) == len(group):
+            break
+    if best is None:
+        check = _channels_of(group)
+        why = "no run of this motor tells them apart" + _by_reference(group, check)
+        return Experiment("", group, (group,), 0.0, why, check=check)
+    also, bare = best.way
+    how = f" with the {_said(also)} measured as well" if also else ""
+    how += " with nothing on the shaft, the torque sensor taken off" if bare else ""
+    why = f"run {best.test} for {best.seconds:.0f} s{how}"
+    check = ()
+    for part in best.parts:
+        if len(part) > 1:
+            check = (*check, *_channels_of(part))
+            why += f"; it leaves {_listed([_said(name) for name in part])} together"
+            why += _by_reference(part, _channels_of(part))
+    return Experiment(best.test, group, best.parts, round(best.seconds, 1), why, also, bare, check)
 
 
 def _by_reference(group: Sequence[str], check: Sequence[str]) -> str:
@@ -192,6 +236,15 @@ def _said(quantity: str) -> str:
     return quantity.replace("_", " ")
 
 
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def _channels_of(group: Sequence[str]) -> tuple[str, ...]:
+    """The channels whose sensors a group suspects."""
+    return tuple(dict.fromkeys(channel for name in group if (channel := _channel_of(name))))
+
+
 def _channel_of(name: str) -> str:
     """The channel of a sensor's fault, "" for an effect."""
     channel, sensor, _ = name.partition("_sensor_")
@@ -205,10 +258,10 @@ def _floor(found: Finding, measured: Sequence[str]) -> dict[str, float]:
     return {c: last.floor.get(c, NEW_SENSOR * rated.scale(RATED_OF_CHANNEL[c])) for c in measured}
 
 
-def _needed(
+def _told(
     asked: _Question, name: str, floor: Mapping[str, float], shown: Collection[str], rng: np.random.Generator
-) -> float | None:
-    """How many seconds of a scenario settle the question; None if no reasonable time does."""
+) -> tuple[tuple[tuple[str, ...], ...], float] | None:
+    """The group as a scenario tells it apart, and in how many seconds; None if in no reasonable time it tells anything."""
     try:
         new, seconds = _of_scenario(asked, name, floor, shown, rng)
     except (MotorlensError, FloatingPointError, ValueError):
@@ -216,13 +269,27 @@ def _needed(
     longest = seconds if name in ENDS else max(min(LONGER * seconds, LONGEST_S), seconds)
     if longest < SHORTEST_S or seconds > DAY_S:
         return None
+    lengths = np.geomspace(1.0, longest / seconds, 12).tolist()
+    most = _parts(asked, lengths[-1] * new)
+    if len(most) == 1:
+        return None
+    times = next(times for times in lengths if len(_parts(asked, times * new)) == len(most))
+    return most, max(float(seconds * times), SHORTEST_S)
+
+
+def _parts(asked: _Question, new: Array) -> tuple[tuple[str, ...], ...]:
+    """A group as products that a run adds to what the recordings say tell it apart, the largest part last."""
     # What the recordings say has been weighed already: the new one must settle it.
-    said, _ = _apart(asked, asked.gram)
-    for times in np.geomspace(1.0, longest / seconds, 12):
-        apart, worth = _apart(asked, asked.gram + times * new)
-        if apart - said > SETTLED * asked.scatter + CLEAR * CRITERIA.alike * worth:
-            return max(float(seconds * times), SHORTEST_S)
-    return None
+    said = min(_apart(asked, asked.gram)[0].values())
+    apart, worth = _apart(asked, asked.gram + new)
+    needed = said + SETTLED * asked.scatter + CLEAR * CRITERIA.alike * worth
+    parts: list[tuple[str, ...]] = [(name,) for name in asked.names]
+    for pair, left in apart.items():
+        if left <= needed:
+            one, other = (next(part for part in parts if name in part) for name in pair)
+            if one is not other:
+                parts = [part for part in parts if part not in (one, other)] + [(*one, *other)]
+    return tuple(sorted(parts, key=len))
 
 
 def _of_scenario(
@@ -261,8 +328,8 @@ def _rate(found: Finding, planned: Run) -> float:
     return max(min(rates, key=lambda rate: float(abs(np.log(rate)))), 1.0)
 
 
-def _apart(asked: _Question, gram: Array) -> tuple[float, float]:
-    """2 log likelihood of the closest pair, one true and the other fitted in its place, and what the truth is worth."""
+def _apart(asked: _Question, gram: Array) -> tuple[dict[tuple[str, str], float], float]:
+    """2 log likelihood of each pair, one true and the other fitted in its place, and what the truth is worth at most."""
     names = [*asked.keys, *asked.labels]
     mine = f"{asked.winner}."
     base = [k for k, key in enumerate(asked.keys) if not key.startswith(mine)]
@@ -277,7 +344,7 @@ def _apart(asked: _Question, gram: Array) -> tuple[float, float]:
     size[place[key]] = (
         fitted.model.values()[key] - (fitted.model.file.meaning(key).null or 0.0)
     ) / fitted.prior.sd[key]
-    closest, worth = np.inf, 0.0
+    one_way, worth = {}, 0.0
     for name, shapes in columns.items():
         truth = size
         if name != asked.winner:
@@ -285,9 +352,12 @@ def _apart(asked: _Question, gram: Array) -> tuple[float, float]:
             fits = [_instead(before, size, shape) for shape in shapes]
             truth = min(fits, key=lambda fit: _left(before, size - fit))
         worth = max(worth, float(truth @ after @ truth))
-        others = [shape for other, shapes in columns.items() if other != name for shape in shapes]
-        closest = min(closest, *(_left(after, truth - _instead(after, truth, shape)) for shape in others))
-    return float(closest), worth
+        for other in columns.keys() - {name}:
+            one_way[name, other] = min(
+                _left(after, truth - _instead(after, truth, shape)) for shape in columns[other]
+            )
+    pairs = combinations(asked.names, 2)
+    return {(one, other): min(one_way[one, other], one_way[other, one]) for one, other in pairs}, worth
 
 
 def _given(gram: Array, base: Sequence[int], rest: Sequence[int]) -> Array:

@@ -74,9 +74,7 @@ def _facts(document: dict[str, Any]) -> list[Fact]:
 def _next_step(document: dict[str, Any]) -> list[str]:
     told = []
     if "separating_experiment" in document:
-        test = document["separating_experiment"]
-        names = ", ".join(name.replace("_", " ") for name in test["separates"])
-        told.append(f"To tell {names} apart: {test['why']}.")
+        told.append(f"{document['separating_experiment']['sentence']}.")
     if command := next_command(document):
         # The command comes last, to be copied as it stands.
         begin = "To go on with the likeliest" if told else "Next"

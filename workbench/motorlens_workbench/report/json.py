@@ -76,8 +76,9 @@ def to_json(
     }
     if experiment is not None:
         document["separating_experiment"] = {
-            "test": experiment.test, "separates": list(experiment.separates), "seconds": experiment.seconds,
-            "why": experiment.why, "with_sensor": experiment.with_sensor, "bare": experiment.bare,
+            "test": experiment.test, "separates": list(experiment.separates),
+            "parts": [list(part) for part in experiment.parts], "seconds": experiment.seconds, "why": experiment.why,
+            "sentence": experiment.sentence, "with_sensor": experiment.with_sensor, "bare": experiment.bare,
             "check": list(experiment.check),
         }  # fmt: skip
     if verdict.contradicted:
@@ -293,9 +294,7 @@ def to_text(document: Mapping[str, Any]) -> str:
     if document["cannot_tell"]:
         rows += ["", *document["cannot_tell"]]
     if "separating_experiment" in document:
-        test = document["separating_experiment"]
-        names = ", ".join(name.replace("_", " ") for name in test["separates"])
-        rows += ["", f"To tell {names} apart: {test['why']}"]
+        rows += ["", document["separating_experiment"]["sentence"]]
     if command := next_command(document):
         begin = "To go on with the likeliest" if "separating_experiment" in document else "Next"
         rows += ["", f"{begin}: {command}"]
