@@ -14,6 +14,7 @@ SET: ContextVar[int] = ContextVar("set", default=0)
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "cores", lambda: 2)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
 
 
 def test_both_cores_work_at_the_same_time() -> None:
@@ -31,6 +32,15 @@ def test_work_within_work_is_spread_only_where_a_core_is_idle(items: int, beside
 
     # An item alone is done where it is asked for, and what is within it on threads of its own.
     assert all((others > 0) == (beside == 2) for others in on_all_cores(outer, range(items)))
+
+
+@pytest.mark.parametrize(
+    ("said", "beside"), [("1", False), ("2", True), ("64", True), ("0", True), ("many", True)]
+)
+def test_the_user_may_have_fewer_threads(monkeypatch: pytest.MonkeyPatch, said: str, beside: bool) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", said)
+    others = set(on_all_cores(lambda item: threading.get_ident(), range(4))) - {threading.get_ident()}
+    assert bool(others) == beside and len(others) <= 2
 
 
 def test_the_context_is_the_callers_and_stays_as_it_was() -> None:
