@@ -3,17 +3,23 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from helpers.hidden import known
 from helpers.textbook import textbook_on, with_name
 
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import read_recording
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest import exchange, rivals
 from motorlens_workbench.contest.contest import _needed
+from motorlens_workbench.contest.entering import Step, _beside_all
 from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.rivals import Rivals, rivals_of
 from motorlens_workbench.contest.worth import own_score
+from motorlens_workbench.diagnose import diagnose
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.standing import Standing, stand
 from motorlens_workbench.verdict import _groups
@@ -193,3 +199,54 @@ def test_what_has_ended_at_its_null_leaves_whatever_another_size_would_explain(b
     last = replace(friction, hypothesis=replace(friction.hypothesis, name="constant_torque"))
     then, left = _needed(here, [friction, last], (), lambda text: None)
     assert left == [last] and not any(key.startswith("coulomb_friction.") for key in then.fitted.prior.keys)
+
+
+@pytest.mark.blind
+def test_what_seems_to_explain_most_in_a_model_that_has_it_is_no_likelier_than_what_was_fitted_beside_it(
+    tmp_path: Path,
+) -> None:
+    """Radiation, ten times what is detectable, told as a second node alone: of the two either explains nearly as much."""
+    made = known("dev-3246", tmp_path)
+    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    (accepted,), (rivals,) = found.outcome.accepted, found.outcome.rivals
+    assert (
+        set(rivals.group)
+        == {"two_node_thermal", "radiation"}
+        == {accepted.hypothesis.name, *rivals.group[1:]}
+    )
+    # In its model the one that entered seems to explain twice what the other does: beside it, that had not been so.
+    assert rivals.scores["two_node_thermal"].gain > 1.5 * rivals.scores["radiation"].gain
+    assert 0.2 < rivals.probability["radiation"] < 0.6
+
+
+@pytest.mark.parametrize("apart", [0.0, 3.0, -8.0])
+def test_names_fitted_from_the_same_model_are_as_likely_beside_each_other_as_they_explain(
+    apart: float,
+) -> None:
+    """And what has been estimated from the beginning is known better."""
+    information = np.array([[400.0]])
+
+    def challenger(name: str, gain: float) -> Any:
+        hypothesis = SimpleNamespace(name=name, named=name != "torque", shapes=(0,))
+        entry = SimpleNamespace(hypothesis=hypothesis)
+        score = SimpleNamespace(
+            name=name,
+            entry=entry,
+            gain=gain,
+            scatter=2.0,
+            coefficient=np.ones(1),
+            information=information,
+            width=1,
+        )
+        return SimpleNamespace(score=score, named=hypothesis.named, name=name, gain=gain)
+
+    one, other, third, free = (challenger(name, 30.0) for name in ("one", "other", "third", "torque"))
+    made = [
+        (each, SimpleNamespace(cost=100.0 - won))
+        for each, won in ((one, 40.0), (other, 40.0 - 4.0 * apart), (third, 36.0), (free, 50.0))
+    ]
+    accepted = Accepted(one.score.entry.hypothesis, 40.0, 2.0, 9.0, beside={"third": -5.0})
+    step = _beside_all(Step(accepted=accepted), one, made, 100.0)  # type: ignore[arg-type]
+    assert step.accepted is not None
+    assert step.accepted.beside == pytest.approx({"other": -apart, "third": -5.0})
+    assert _beside_all(Step(), one, made, 100.0) == Step()  # type: ignore[arg-type]

@@ -113,8 +113,8 @@ class Accepted:
         scatter: of its size between blocks of time, as seen from the model that has it.
         weight: minus the logarithm of the probability of as much by chance.
         agreed: squared ratio to which blocks of time agree on it, where that told more than Wald's test; else 0.
-        beside: other names with which the motor was estimated as well, and the logarithm of how much less likely each is, as
-            far as blocks of time agree on that.
+        beside: other names with which the motor was fitted or estimated as well, and the logarithm of how much likelier each
+            is; where it was estimated from the beginning, as far as blocks of time agree on that.
         instead: names that were fitted in its place in the end, and the logarithm of how much likelier each is.
         made_up_for: parameters that are far from the motor file without it, where nothing else speaks for it, and a sentence
             on each.

@@ -145,7 +145,7 @@ def enter(
         if step.accepted is None and step.standing is not None:
             return step
         if step.standing is not None:
-            step = _timed_anew(here, one.score, step, own)
+            step = _beside_all(_timed_anew(here, one.score, step, own), one, made, base.cost)
             break
     if not (strongest.named if step.standing is None else follows(step.standing)):
         # What is missing has bent the model, and where that ended another name, or none, may help most.
@@ -154,6 +154,22 @@ def enter(
     if step.standing is None and strongest.named:
         return replace(step, refused=(*step.refused, strongest.name))
     return step
+
+
+def _beside_all(step: Step, one: Challenger, made: Sequence[tuple[Challenger, Fitted]], cost: float) -> Step:
+    """The step with how likely each of the names is that were fitted beside the one that entered, from the same model.
+
+    In the model that has it, a name may seem to explain twice what it did there: it has taken the shape that it needed.
+    """
+    if step.accepted is None:
+        return step
+    likely = {
+        other.name: posterior(other, cost - fitted.cost, one.score.scatter)
+        for other, fitted in made
+        if other.named
+    }
+    beside = {name: how - likely[one.name] for name, how in likely.items() if name != one.name}
+    return replace(step, accepted=replace(step.accepted, beside={**beside, **step.accepted.beside}))
 
 
 def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress) -> Step:
