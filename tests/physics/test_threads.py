@@ -4,6 +4,7 @@ import threading
 from contextvars import ContextVar
 
 import pytest
+from helpers.processes import LIMIT_S
 
 from motorlens_physics import threads
 from motorlens_physics.threads import on_all_cores
@@ -19,7 +20,7 @@ def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_both_cores_work_at_the_same_time() -> None:
     both = threading.Barrier(2)
-    assert sorted(on_all_cores(lambda item: (both.wait(timeout=60.0), item)[1], [1, 2])) == [1, 2]
+    assert sorted(on_all_cores(lambda item: (both.wait(timeout=LIMIT_S), item)[1], [1, 2])) == [1, 2]
 
 
 @pytest.mark.parametrize(("items", "beside"), [(1, 2), (2, 1), (5, 1)])
