@@ -335,7 +335,10 @@ def resolved_rates(directory: Path) -> list[tuple[str, str]]:
                 alone and set().union(*groups) & group <= set().union(*left.values())
             )
     return [
-        ("a run is proposed: it leaves the truth alone", str(Rate(sum(hits[True]), len(hits[True])))),
+        (
+            "a run is proposed: it leaves the truth alone, or with what it said",
+            str(Rate(sum(hits[True]), len(hits[True]))),
+        ),
         (
             "a reference is asked for: it leaves the truth alone",
             str(Rate(sum(hits[False]), len(hits[False]))),

@@ -2,13 +2,20 @@
 
 import threading
 from contextvars import ContextVar
+from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.processes import LIMIT_S
 
 from motorlens_physics import threads
+from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.prepare import prepare_all
+from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.threads import on_all_cores
 
+MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
 SET: ContextVar[int] = ContextVar("set", default=0)
 
 
@@ -54,3 +61,23 @@ def test_the_context_is_the_callers_and_stays_as_it_was() -> None:
 def test_the_first_error_is_raised(items: list[int]) -> None:
     with pytest.raises(ZeroDivisionError, match="division"):
         on_all_cores(lambda item: 1 / item, items)
+
+
+@pytest.mark.fit
+def test_threads_change_no_bit_of_an_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two recordings at the same time, or one after the other, as the workers of these tests do."""
+    file = read_motor_file(MOTOR)
+    noise = {"voltage": 0.5, "current": 0.05, "speed": 0.5}
+    shown = [
+        measure(perform(file, scenarios()[name](10.0, 0.01), rng), (), noise, rng)
+        for name, rng in (
+            ("no_load_steps", np.random.default_rng(1)),
+            ("load_steps", np.random.default_rng(2)),
+        )
+    ]
+    found = []
+    for said in ("2", "1"):
+        monkeypatch.setenv("OMP_NUM_THREADS", said)
+        found.append(estimate(file, prepare_all(shown, file)).fit)
+    assert found[0].model.values() == found[1].model.values()
+    assert np.array_equal(found[0].covariance, found[1].covariance)

@@ -97,9 +97,12 @@ def test_no_test_is_offered_that_takes_longer_than_a_working_day(
 @pytest.mark.parametrize(
     ("far", "parts", "times"),
     [
-        # Each pair by another length of the run; at a tenth of it b is told from c, but both not from a.
+        # What a run of its usual length tells of each pair, in what is needed; it may be made up to 20 times as long.
         ({"ab": 1.0, "ac": 1.0, "bc": 10.0}, (("a",), ("b",), ("c",)), 1.0),
+        ({"ab": 0.1, "ac": 1.0, "bc": 1.0}, (("a",), ("b",), ("c",)), 10.0),
         ({"ab": 1.0, "ac": 1.0, "bc": 0.0}, (("a",), ("b", "c")), 1.0),
+        ({"ab": 0.1, "ac": 1.0, "bc": 0.02}, (("a",), ("b", "c")), 10.0),
+        # That b is told from c is of no use while either may be a.
         ({"ab": 0.0, "ac": 0.0, "bc": 10.0}, None, 0.0),
     ],
 )
@@ -118,7 +121,11 @@ def test_a_group_is_in_parts_of_which_no_two_are_left_together(
     monkeypatch.setattr(experiments, "_of_scenario", lambda *of: (np.eye(1), 100.0))
     asked = SimpleNamespace(gram=np.zeros((1, 1)), scatter=1.0, names=("a", "b", "c"))
     told = experiments._told(asked, "load_steps", {}, (), np.random.default_rng(0))  # type: ignore[arg-type]
-    assert told == (None if parts is None else (parts, 100.0 * times))
+    assert (told is None) == (parts is None)
+    if told is not None:
+        assert told[0] == parts
+        # Lengths are tried in steps of a third.
+        assert 100.0 * times <= 1.002 * told[1] < 135.0 * times
 
 
 @pytest.mark.fit

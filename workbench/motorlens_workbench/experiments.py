@@ -198,12 +198,12 @@ def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Exper
     how = f" with the {_said(also)} measured as well" if also else ""
     how += " with nothing on the shaft, the torque sensor taken off" if bare else ""
     why = f"run {best.test} for {best.seconds:.0f} s{how}"
-    check = ()
-    for part in best.parts:
-        if len(part) > 1:
-            check = (*check, *_channels_of(part))
-            why += f"; it leaves {_listed([_said(name) for name in part])} together"
-            why += _by_reference(part, _channels_of(part))
+    together = [part for part in best.parts if len(part) > 1]
+    for part in together:
+        why += f"; it leaves {_listed([_said(name) for name in part])} together"
+    rest = [name for part in together for name in part]
+    check = _channels_of(rest)
+    why += _by_reference(rest, check)
     return Experiment(best.test, group, best.parts, round(best.seconds, 1), why, also, bare, check)
 
 

@@ -334,8 +334,10 @@ def shown_at(model: Model, latest: Weighed) -> Weighed:
         ModelError: a simulation cannot go on.
     """
 
+    frames = latest.frames
+
     def one(r: int) -> Errors:
-        part, frame = latest.parts[r], latest.frames[r]
+        part, frame = latest.parts[r], frames[r]
         difference = part.run.measured - predict(model, part.run.holding(model.held[r]), r)[1]
         none = np.empty((*difference.shape, 0))
         return replace(

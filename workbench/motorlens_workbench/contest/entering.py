@@ -163,11 +163,7 @@ def _beside_all(step: Step, one: Challenger, made: Sequence[tuple[Challenger, Fi
     """
     if step.accepted is None:
         return step
-    likely = {
-        other.name: posterior(other, cost - fitted.cost, one.score.scatter)
-        for other, fitted in made
-        if other.named
-    }
+    likely = {other.name: posterior(other, cost - fitted.cost, one.score.scatter) for other, fitted in made}
     beside = {name: how - likely[one.name] for name, how in likely.items() if name != one.name}
     return replace(step, accepted=replace(step.accepted, beside={**beside, **step.accepted.beside}))
 
