@@ -303,3 +303,15 @@ def test_a_name_that_explains_less_than_what_remains_is_no_more_than_a_part(tmp_
     assert bool(verdict.chosen) == part
     assert (verdict.shape is None, verdict.torque is None) == (part, not part)
     assert ("something is left that no effect" in sentence(found, verdict)) == part
+
+
+@pytest.mark.long
+@pytest.mark.blind
+@pytest.mark.xfail(strict=True, reason="a third name is told at five deviations: cogging, a drag")
+@pytest.mark.parametrize("case", ["dev-3305", "dev-3306"])
+def test_beside_two_names_that_are_true_nothing_is_told_at_ten_bits(tmp_path, case):
+    made = known(case, tmp_path)
+    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    hidden = {effect["name"] for effect in made.truth["hidden"]}
+    groups = settle(found).groups
+    assert len(groups) == len(hidden) and all(hidden & set(group) for group in groups)

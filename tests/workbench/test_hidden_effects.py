@@ -107,7 +107,11 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("count", "names"),
-    [(800, ("dev-0061", "dev-0420", "dev-0633")), (2400, ("dev-1794",)), (3600, ("dev-3246",))],
+    [
+        (800, ("dev-0061", "dev-0420", "dev-0633")),
+        (2400, ("dev-1794",)),
+        (3600, ("dev-3246", "dev-3305", "dev-3306")),
+    ],
 )
 def test_the_cases_of_other_tests_are_those_of_the_plan(
     count: int, names: tuple[str, ...], tmp_path: Path
