@@ -70,7 +70,7 @@ def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> N
     voltage_V2 = noise.disturbances[VOLTAGE] + correlated[VOLTAGE]
     assert np.sqrt(voltage_V2) / RATED["voltage"] == pytest.approx(np.hypot(0.005, 0.01), rel=0.25)
     assert np.sqrt(correlated[-1]) / RATED["speed"] == pytest.approx(0.01, rel=0.2)
-    assert np.sqrt(noise.channels[-1]) / RATED["speed"] == pytest.approx(0.005, rel=0.2)
+    assert np.sqrt(noise.of_sensors(found.runs[0])[-1]) / RATED["speed"] == pytest.approx(0.005, rel=0.2)
     lasts = noise.lasts_s[-1] / PERIOD_S
     assert lasts == pytest.approx(-1 / np.log(0.96), rel=0.3)
     # Noise drawn by what was found is as large, and as rough from sample to sample, as what was put in.

@@ -225,7 +225,12 @@ def test_lags_are_weighed_as_if_each_had_been_tried() -> None:
     run = prepare_all([Recording("x", time, {"voltage": wave, "speed": measured[:, 0]})], FILE)[0]
     nothing = Linearisation(("i", "w", "theta"), np.zeros((rows - 1, 3, 9)))
     noise = Noise(
-        np.full(1, 0.01), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 1.0]), np.full(1, 1e-12), np.zeros(3)
+        np.full((1, 1), 0.01),
+        np.zeros(3),
+        np.zeros(3),
+        np.array([0.0, 0.0, 1.0]),
+        np.full(1, 1e-12),
+        np.zeros(3),
     )
     frame = Frame(None, run, 0, nothing)  # type: ignore[arg-type]
     error = measured - wave[:, None]

@@ -159,8 +159,8 @@ def test_a_rest_is_where_nothing_changes_and_a_slow_sensor_is_none(held: int):
 @pytest.mark.fit
 def test_a_rest_does_not_make_the_noise_smaller():
     file = read_motor_file(MOTOR)
-    found = [estimate(file, [prepare(turning(rest), file)]).runs[0].noise for rest in (0.0, 4.0)]
-    alone, beside = (float(np.sqrt(noise.channels[0])) for noise in found)
+    found = [estimate(file, [prepare(turning(rest), file)]).runs[0] for rest in (0.0, 4.0)]
+    alone, beside = (float(np.sqrt(run.noise.of_sensors(run)[0])) for run in found)
     assert 0.4 < alone < 0.6
     assert beside == pytest.approx(alone, rel=0.1)
 

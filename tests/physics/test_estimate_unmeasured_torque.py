@@ -61,6 +61,6 @@ def test_a_motor_that_follows_within_a_sample_is_told_beside_a_torque_that_nobod
     # Taken to hold from sample to sample it would be found 15 % too large, and the current's noise 8 % too small.
     assert np.sqrt(torque_Nm2) == pytest.approx(TORQUE_SD, rel=0.12)
     assert np.sqrt(voltage_V2) == pytest.approx(VOLTAGE_SD, rel=0.15)
-    assert np.sqrt(run.noise.channels[0]) == pytest.approx(CURRENT_SD, rel=0.05)
+    assert np.sqrt(run.noise.of_sensors(run)[0]) == pytest.approx(CURRENT_SD, rel=0.05)
     values, sd = found.fit.model.values(), found.fit.sd()
     assert max(abs(values[key] - MOTOR[key]) / sd[key] for key in ("R_a0", "L", "ke", "J", "b")) < 3

@@ -28,6 +28,6 @@ def test_of_two_models_each_is_as_likely_as_its_own_noise_says(tmp_path: Path) -
 def _quieter(point: Weighed, share: float) -> Weighed:
     """A model as it is, under a share of the variance that its channels' noise has."""
     parts = [
-        replace(part, noise=replace(part.noise, channels=share * part.noise.channels)) for part in point.parts
+        replace(part, noise=replace(part.noise, sensors=share * part.noise.sensors)) for part in point.parts
     ]
     return replace(point, parts=tuple(parts))

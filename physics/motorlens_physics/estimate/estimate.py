@@ -40,6 +40,7 @@ from motorlens_physics.estimate.weighed import (
     with_colour,
     with_moments,
     with_rough_inputs,
+    with_uneven_noise,
 )
 from motorlens_physics.motor_file import MotorFile
 
@@ -186,6 +187,8 @@ def near(
     if coloured is not point:
         point = minimised(coloured, prior, progress, outliers=False)[0]
         point = timing.under_its_noise(point, model, pieces, free=free)
+    uneven = with_uneven_noise(point)
+    point = point if uneven is point else minimised(uneven, prior, progress, outliers=False)[0]
     return point if prior.keys == every.keys else at(point.model, point, every)
 
 

@@ -93,7 +93,7 @@ def floor_of(run: Run, linear: Linearisation, error: Array) -> Array:
             for e, y, there, step in zip(error.T, run.measured.T, run.there.T, run.steps, strict=True)
         ]
     )
-    white = np.minimum(run.noise.channels, rough**2) + run.steps**2 / 12
+    white = np.minimum(run.noise.of_sensors(run), rough**2) + run.steps**2 / 12
     lasting = run.noise.lasting_of_channels(run)
     return np.asarray(np.sqrt(white + lasting + stirred_by_inputs(run, linear, run.noise)))
 

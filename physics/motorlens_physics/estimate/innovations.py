@@ -211,14 +211,16 @@ def disturbances(space: StateSpace, filtered: Filtered) -> tuple[Array, Array, A
     Returns:
         (N, D) expected disturbance at each sample given all samples.
         (2, D): sums over the samples of the squared score and of its expectation, per disturbance; zero where it has none.
-        (2, C): the same per channel. A variance times the root of the ratio of the two is the next step of its
-        maximum-likelihood estimate, which never falls (Zhou, Hu, Zhou and Lange 2019, doi:10.1080/10618600.2018.1529601).
+        (2, N, C): the same of each channel at each sample. A variance times the root of the ratio of the two is the next
+        step of its maximum-likelihood estimate, which never falls (Zhou, Hu, Zhou and Lange 2019,
+        doi:10.1080/10618600.2018.1529601).
     """
-    every, channels = len(space.balances), space.noise.shape[1]
+    every = len(space.balances)
     space, acting = _acting(space)
     _assert_gains_of(space, filtered)
     seen, of_inputs, of_channels = (
-        np.zeros((len(space.noise), len(space.variance))), np.zeros((2, len(space.variance))), np.zeros((2, channels))
+        np.zeros((len(space.noise), len(space.variance))), np.zeros((2, len(space.variance))),
+        np.zeros((2, *space.noise.shape)),
     )  # fmt: skip
     kalman.backward(
         *_sizes(space), space.matrices, space.shows, space.drifts, space.balances, space.holds,

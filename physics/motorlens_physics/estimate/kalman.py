@@ -275,8 +275,8 @@ def backward(  # type: ignore[no-untyped-def]
                 along += gain[k, c, r] * u[0, r]
                 across += gain[k, c, r] * W[0, r]
             error = white[k, c] / scale[k, c] - along
-            of_channels[0, c] += error**2
-            of_channels[1, c] += 1.0 / power + across
+            of_channels[0, k, c] = error**2
+            of_channels[1, k, c] = 1.0 / power + across
             at[0], shown = h, 1
             for d in drifts[c]:
                 if d >= 0:

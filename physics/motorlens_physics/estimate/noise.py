@@ -1,7 +1,9 @@
 """The noise of a recording, as it is in the recording: of its sensors, of its measured inputs, and a slow torque.
 
 What a sensor shows too much may be another error at every sample, and coloured besides: a filtered speed, a transducer that
-wanders. Coloured noise is a first-order autoregression, a state of its own in the filter that makes errors white.
+wanders. Coloured noise is a first-order autoregression, a state of its own in the filter that makes errors white. How large
+the errors are may differ with how hard the motor is driven: the ripple that a converter leaves on a current is largest in
+the middle of its range.
 
 Nothing of it is assumed. The errors of a simulation are whatever the sensors' noise, the inputs' noise and an unmeasured
 torque leave in all channels through the motor (`innovations`); the variances under which those errors are most likely are
@@ -9,7 +11,7 @@ their maximum-likelihood estimates. Noise that was truly applied to the motor, s
 counts as none.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,9 @@ MOST_OF_LOOKS = 1.5
 # A command that may have changed at any moment of a sample was, on the average over those moments, wrong by so much of its
 # change, squared.
 AT_ANY_MOMENT = 1 / 3
+# Groups of samples, by equal parts of the largest size of the voltage, in which sensors may be more noisy or less; and how
+# many samples of a group tell a variance, within a fifth of it.
+GROUPS, TELL = 10, 50
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
 
@@ -61,7 +66,8 @@ class Noise:
     """The noise of one recording.
 
     Attributes:
-        channels: (C,) variance of each sensor's white noise, in its unit squared, before its converter.
+        sensors: (C, K) variance of each sensor's white noise, in its unit squared, before its converter, in each of K groups
+            of samples by the size of the voltage.
         disturbances: (3,) variance of the voltage's (V^2) and the load's white noise and of the slow torque ((N m)^2); or
             (5 + C,), followed by those of the coloured noise, of the voltage, the load and each channel.
         most: the largest that each can be: a measured input is no noisier than it looks.
@@ -69,22 +75,47 @@ class Noise:
         floor: (C,) smallest variance that is believed: what a converter's levels are uneven by, or the integration's error.
         least: the smallest that each disturbance can be: an input is as noisy as the errors that follow its roughness say.
         between: whether a command may have changed at any moment between two samples, not at one of them.
+        edges_V: (K - 1,) sizes of the voltage that part the groups.
     """
 
-    channels: Array
+    sensors: Array
     disturbances: Array
     most: Array
     lasts_s: Array
     floor: Array
     least: Array
     between: bool = False
+    edges_V: Array = field(default_factory=lambda: np.zeros(0))
 
-    def within(self, channels: Array, disturbances: Array) -> "Noise":
-        """With other variances (C,) and (3,), as far as they are believed."""
+    def group(self, run: Run) -> NDArray[np.int64]:
+        """(N,) which group each sample of a run is of."""
+        return np.searchsorted(self.edges_V, np.abs(run.inputs.voltage_V), side="right")
+
+    def of_samples(self, run: Run) -> Array:
+        """(N, C) variance of the sensors' white noise."""
+        return np.asarray(self.sensors.T[self.group(run)])
+
+    def of_sensors(self, run: Run) -> Array:
+        """(C,) mean variance of the sensors' white noise."""
+        return np.asarray(self.of_samples(run).mean(axis=0))
+
+    def uneven(self, run: Run) -> "Noise":
+        """With variances of their own in groups of samples, see `GROUPS` and `TELL`."""
+        sizes = np.sort(np.abs(run.inputs.voltage_V))
+        edges_V: list[float] = []
+        for edge_V in (sizes[-1] * np.arange(1, GROUPS) / GROUPS).tolist():
+            below, above = (np.searchsorted(sizes, size_V) for size_V in ([0.0, *edges_V][-1], edge_V))
+            if min(above - below, len(sizes) - above) >= TELL:
+                edges_V.append(edge_V)
+        sensors = np.tile(self.of_sensors(run)[:, None], len(edges_V) + 1)
+        return replace(self, sensors=sensors, edges_V=np.array(edges_V))
+
+    def within(self, sensors: Array, disturbances: Array) -> "Noise":
+        """With other variances (C, K) and (3,), as far as they are believed."""
         least = np.minimum(np.maximum(SMALLEST * self.most, self.least), self.most)
         return replace(
             self,
-            channels=np.maximum(channels, self.floor),
+            sensors=np.maximum(sensors, self.floor[:, None]),
             disturbances=np.clip(disturbances, least, self.most),
         )
 
@@ -92,7 +123,7 @@ class Noise:
         """With inputs that are as noisy as these variances (2,) at least, V^2 and (N m)^2."""
         least = np.zeros_like(self.least)
         least[:TORQUE] = variances
-        return replace(self, least=least).within(self.channels, self.disturbances)
+        return replace(self, least=least).within(self.sensors, self.disturbances)
 
     def like(self, other: "Noise") -> "Noise":
         """As another found it in a piece of the same recording."""
@@ -103,8 +134,9 @@ class Noise:
             lasts_s=other.lasts_s,
             least=other.least,
             between=other.between,
+            edges_V=other.edges_V,
         )
-        return alike.within(other.channels, other.disturbances)
+        return alike.within(other.sensors, other.disturbances)
 
     def lasting(self, lasts_s: float) -> "Noise":
         """With an unmeasured torque that lasts so long."""
@@ -173,7 +205,8 @@ class Noise:
         silent = np.zeros(channels if coloured.size else 0)
         variance = np.concatenate([white, [0.0], coloured, silent])
         lasts = np.concatenate([self.lasts_s[: len(BALANCES) + len(coloured)], silent])
-        return replace(self, channels=np.zeros(channels), disturbances=variance, lasts_s=lasts)
+        none = np.zeros((channels, self.sensors.shape[1]))
+        return replace(self, sensors=none, disturbances=variance, lasts_s=lasts)
 
     def drawn(self, run: Run, rng: np.random.Generator) -> Array:
         """(N, 2) noise of the measured inputs as it may be, evenly sampled: all that `of_input` says."""
@@ -239,7 +272,7 @@ class Noise:
             np.array([hold[0], hold[1], False, *(which < 0 or hold[which] for which in of_input)]),
             self._keeps(run),
             self.all_of(run),
-            np.ascontiguousarray(np.where(used, self.channels + run.steps**2 / 12, np.inf)),
+            np.ascontiguousarray(np.where(used, self.of_samples(run) + run.steps**2 / 12, np.inf)),
             np.zeros(len(linear.states)),
             jumps,
         )
@@ -270,7 +303,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
         variances[LOAD] *= "load_torque" in run.known
     torque = torque_Nm**2
     return Noise(
-        np.maximum(size - run.steps**2 / 12, floor),
+        np.maximum(size - run.steps**2 / 12, floor)[:, None],
         np.array([*looks, SMALL_TORQUE**2 * torque]),
         np.append(most, torque),
         np.array([0.0, 0.0, LASTS[1] * run.period_s]),

@@ -33,7 +33,7 @@ WHITE = 3.3
 # Parts of a recording, and the most by which their mean powers may scatter, as a share: of noise less than 0.3, even where a
 # ripple comes and goes; of a real motor's missing drop, friction or iron 0.8 and more.
 PARTS, UNEVEN = 16, 0.5
-# How often coloured noise may be found where there is none.
+# How often coloured noise, or noise that is uneven, may be found where there is none.
 CHANCE = 0.01
 # Updates of the noise before two durations are compared. A torque as short as a sample is told from the sensors' white noise
 # only once both have converged.
@@ -65,7 +65,8 @@ def likelier(
     would end (Aitken's extrapolation), and comes back if the likelihood there is lower.
     """
     space = noise.space(run, linear, used & ~run.rests[:, None])
-    parts = [(_stretch(space, rows, error), error[rows]) for rows in _stretches(len(error))]
+    groups = noise.group(run)
+    parts = [(_stretch(space, rows, error), error[rows], groups[rows]) for rows in _stretches(len(error))]
     path, back, total = [noise], noise, float("inf")
     for _ in range(updates):
         leapt = back is not path[-1] and len(path) == 1
@@ -84,30 +85,39 @@ def likelier(
 
 
 def _updated(
-    noise: Noise, parts: Sequence[tuple[StateSpace, Array]], converters: Array
+    noise: Noise, parts: Sequence[tuple[StateSpace, Array, NDArray[np.int64]]], converters: Array
 ) -> tuple[Noise, float]:
     """One step of maximum likelihood from a noise, and twice the negative logarithmic likelihood before it.
 
-    Beside it every channel has the variance (C,) of its converter.
+    Args:
+        noise: which.
+        parts: of a run, with the errors of their samples and of which group each is, see `Noise.group`.
+        converters: (C,) variance that each channel has besides.
     """
-    total, inputs, sensors = 0.0, np.zeros((2, len(parts[0][0].variance))), np.zeros((2, len(noise.channels)))
-    for part, error in parts:
+    total, inputs, sensors = (
+        0.0,
+        np.zeros((2, len(parts[0][0].variance))),
+        np.zeros((2, *noise.sensors.shape)),
+    )
+    for part, error, groups in parts:
         here = replace(
             part,
             variance=np.append(noise.disturbances, part.variance[len(noise.disturbances) :]),
-            noise=np.where(np.isfinite(part.noise), noise.channels + converters, np.inf),
+            noise=np.where(np.isfinite(part.noise), noise.sensors.T[groups] + converters, np.inf),
         )
         seen = read(here, error)
         total += float(np.sum(seen.unlikely))
         _, of_inputs, of_channels = disturbances(seen.space, seen.filtered)
-        inputs, sensors = inputs + of_inputs, sensors + of_channels
+        inputs = inputs + of_inputs
+        for k in range(sensors.shape[2]):
+            sensors[:, :, k] += of_channels[:, groups == k].sum(axis=1)
     # Where the errors do not tell it from the channels' own noise, an input is as noisy as it looks.
     measured = noise.of_measured_inputs
     inputs[0, measured] += UNIFORM / noise.disturbances[measured]
     total -= UNIFORM * float(np.sum(np.log(noise.disturbances[measured] / noise.most[measured])))
     # To the full ratio, not its root: it is a fixed point of both, and nearer.
     ratio = _ratio(inputs[:, : len(noise.disturbances)])
-    return noise.within(noise.channels * _ratio(sensors), noise.disturbances * ratio), total
+    return noise.within(noise.sensors * _ratio(sensors), noise.disturbances * ratio), total
 
 
 def _leap(before: Noise, between: Noise, after: Noise) -> Noise:
@@ -121,7 +131,7 @@ def _leap(before: Noise, between: Noise, after: Noise) -> Noise:
         return np.asarray(z * np.exp(np.clip(np.nan_to_num(more), -FARTHEST, FARTHEST)))
 
     return after.within(
-        end(before.channels, between.channels, after.channels),
+        end(before.sensors, between.sensors, after.sensors),
         end(before.disturbances, between.disturbances, after.disturbances),
     )
 
@@ -243,9 +253,32 @@ def coloured(
     if likeliest.x > np.log(usual) and least - likeliest.fun > chdtri(1, CHANCE):
         return noise
     other, _ = tried(begin, np.exp(likeliest.x), CONVERGED)
-    left = read(other.space(run, linear, used), error).filtered.white[:, :, 0]
+    return other if _leaves_noise(other, run, linear, error, used) else noise
+
+
+def uneven(noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_]) -> Noise:
+    """The noise with sensors as noisy as they are at each size of the voltage, if that is likelier; itself if it is not.
+
+    It must be likelier beyond chance, leave white noise, and be the same throughout, as must `coloured`.
+
+    Args: as of `lasting`, at parameters near the best.
+    """
+    other = noise.uneven(run)
+    (_, before), (found, after) = (
+        likelier(one, run, linear, error, used, CONVERGED) for one in (noise, other)
+    )
+    more = other.sensors.size - noise.sensors.size
+    likely = more > 0 and before - after > chdtri(more, CHANCE)
+    return found if likely and _leaves_noise(found, run, linear, error, used) else noise
+
+
+def _leaves_noise(
+    noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_]
+) -> bool:
+    """Whether innovations are white, and as large at one time as at another."""
+    left = read(noise.space(run, linear, used), error).filtered.white[:, :, 0]
     powers = np.array([np.mean(part**2) for part in np.array_split(left, PARTS)])
-    return other if _correlation(left) < WHITE and np.std(powers) < UNEVEN * np.mean(powers) else noise
+    return bool(_correlation(left) < WHITE and np.std(powers) < UNEVEN * np.mean(powers))
 
 
 def _correlation(white: Array) -> float:

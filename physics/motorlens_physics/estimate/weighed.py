@@ -19,7 +19,7 @@ from motorlens_physics.estimate.innovations import Read, Sums, disturbances, rea
 from motorlens_physics.estimate.input_noise import least_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
 from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise
-from motorlens_physics.estimate.noise_likelihood import changed_between, coloured, lasting, likelier
+from motorlens_physics.estimate.noise_likelihood import changed_between, coloured, lasting, likelier, uneven
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.signals import smoothed
@@ -134,6 +134,11 @@ class Errors:
         noise = coloured(self.noise, self.run, self.linear, self.error, self.used, response_s)
         # The torque lasted as long as the noise that it stood for.
         return self if noise is self.noise else replace(self, noise=noise).with_duration()
+
+    def with_uneven_noise(self) -> "Errors":
+        """With sensors as noisy as they are at each size of the voltage, if that is likelier; itself if it is not."""
+        noise = uneven(self.noise, self.run, self.linear, self.error, self.used)
+        return self if noise is self.noise else replace(self, noise=noise)
 
     def with_noise(self, updates: int, *, outliers: bool) -> "Errors":
         """With likelier noise, outliers left out if asked for, and the inputs' corrections expected under it."""
@@ -382,6 +387,14 @@ def with_moments(point: Weighed) -> Weighed:
 def with_colour(point: Weighed) -> Weighed:
     """A point near the best parameters with coloured noise in each run where that is likelier; itself if in none."""
     return _with_parts(point, tuple(on_all_cores(Errors.with_colour, point.parts)))
+
+
+def with_uneven_noise(point: Weighed) -> Weighed:
+    """A point near the best parameters with noise that differs with the size of the voltage where that is likelier.
+
+    Itself if it does in none.
+    """
+    return _with_parts(point, tuple(on_all_cores(Errors.with_uneven_noise, point.parts)))
 
 
 def _with_parts(point: Weighed, parts: tuple[Errors, ...]) -> Weighed:

@@ -54,7 +54,7 @@ def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise, used: int)
         noise: of the recording.
         used: parameters already spent on the innovations.
     """
-    fine = noise.channels > np.maximum(noise.floor, run.steps**2 / 12)
+    fine = noise.of_sensors(run) > np.maximum(noise.floor, run.steps**2 / 12)
     if not fine.any():
         return 0.0
     if not fine.all():

@@ -106,7 +106,7 @@ def _drawn(line: Line, noise: Noise) -> _Drawn:
     error = line.of_forcing(Forcing(none, torque, none))[:, :, 0]
     voltage, load = noise.drawn(run, rng).T
     error += line.of_forcing(Forcing(voltage, load, none), held=run.inputs.hold)[:, :, 0]
-    error += np.sqrt(noise.channels) * rng.standard_normal(error.shape)
+    error += np.sqrt(noise.of_samples(run)) * rng.standard_normal(error.shape)
     for c, variance in enumerate(noise.lasting_of_channels(run)):
         if variance > 0:
             error[:, c] += lasting(variance, noise.lasts_s[-1])

@@ -149,8 +149,8 @@ def ended(found: Estimate) -> dict[str, Any]:
         "late": dict(run.late),
         "mean_speed": run.mean_speed,
         "noise": {
-            "channels": run.noise.channels.tolist(), "disturbances": run.noise.disturbances.tolist(),
-            "lasts_s": run.noise.lasts_s.tolist(), "between": run.noise.between,
+            "sensors": run.noise.sensors.tolist(), "disturbances": run.noise.disturbances.tolist(),
+            "lasts_s": run.noise.lasts_s.tolist(), "between": run.noise.between, "edges_V": run.noise.edges_V.tolist(),
         },
     }  # fmt: skip
 
@@ -171,12 +171,13 @@ def where_it_ended(
     run = run.showing(end.get("mean_speed", False))
     for channel, samples in end["late"].items():
         run = run.delayed(channel, samples)
-    channels, disturbances, lasts_s = (
-        np.array(told[name]) for name in ("channels", "disturbances", "lasts_s")
-    )
+    disturbances, lasts_s = (np.array(told[name]) for name in ("disturbances", "lasts_s"))
+    # Files of before noise could be uneven have one variance of each channel.
+    sensors = np.array(told["sensors"] if "sensors" in told else [[one] for one in told["channels"]])
     # Its limits are those of the recording, see `Noise.like`.
     nothing, between = np.zeros_like(disturbances), told.get("between", False)
-    noise = Noise(channels, disturbances, disturbances, lasts_s, channels, nothing, between)
+    edges_V, floor = np.array(told.get("edges_V", [])), sensors.min(axis=1)
+    noise = Noise(sensors, disturbances, disturbances, lasts_s, floor, nothing, between, edges_V)
     # What had gone where nothing is any more begins at the nearest.
     values = {
         key: float(np.clip(value, *prior.bounds[key]))
