@@ -56,7 +56,7 @@ MOST_OF_LOOKS = 1.5
 AT_ANY_MOMENT = 1 / 3
 # Groups of samples, by equal parts of the largest size of the voltage, in which sensors may be more noisy or less; and how
 # many samples of a group tell a variance, within a fifth of it.
-GROUPS, TELL = 10, 50
+GROUPS, TELL = 20, 50
 # An innovation beyond this many standard deviations is no noise: one in two million would be.
 OUTLIER = 5.0
 
