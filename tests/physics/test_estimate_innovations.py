@@ -207,7 +207,7 @@ def levels(held: bool, size: float, *, dithered: bool = False) -> tuple[np.ndarr
     error = run.measured - shown
     noise = first_noise(run, error, PLATE.torque_Nm)
     found, _ = likelier(noise, run, linear, error, run.there, 60)
-    return np.sqrt(found.channels), np.sqrt(found.disturbances)
+    return np.sqrt(found.of_sensors(run)), np.sqrt(found.disturbances)
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -324,4 +324,4 @@ def test_noise_beneath_the_step_of_a_converter_is_found(sd: float, told: float) 
     error = run.measured - shown
     noise = first_noise(run, error, PLATE.torque_Nm)
     found, _ = likelier(noise, run, linear, error, run.there, 60)
-    assert np.sqrt(found.channels) == pytest.approx([0.02, told * step], rel=0.06)
+    assert np.sqrt(found.of_sensors(run)) == pytest.approx([0.02, told * step], rel=0.06)
