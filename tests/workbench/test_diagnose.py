@@ -307,9 +307,9 @@ def test_a_name_that_explains_less_than_what_remains_is_no_more_than_a_part(tmp_
 
 @pytest.mark.long
 @pytest.mark.blind
-@pytest.mark.xfail(strict=True, reason="a third name is told at five deviations: cogging, a drag")
 @pytest.mark.parametrize("case", ["dev-3305", "dev-3306"])
 def test_beside_two_names_that_are_true_nothing_is_told_at_ten_bits(tmp_path, case):
+    """A cogging torque, which a torque that nobody measured does as well but for little; a drag, where nothing dithers."""
     made = known(case, tmp_path)
     found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
     hidden = {effect["name"] for effect in made.truth["hidden"]}
