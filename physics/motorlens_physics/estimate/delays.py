@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 # The longest delay that is looked for, as a share of the recording.
 LONGEST = 0.1
+# A skew by more than this share of a sample is a delay by a whole one.
+MOST_OF_A_SAMPLE = 0.75
 # A delay is said if by this many standard deviations, and more than converters usually have.
 SURE = 4.0
 # How often late channels are moved on, and how many samples a delay is first unsure by (one standard deviation).
@@ -149,13 +151,14 @@ def nearer(runs: tuple[Run, ...], found: Fit, prior: Prior) -> tuple[tuple[Run, 
 
 
 def realigned(point: Weighed, prior: Prior) -> Weighed:
-    """The point with channels moved to the samples that their skews are nearest to; itself if none is to be moved."""
+    """The point with channels moved by the whole samples that their skew has come to; itself if there are none."""
     parts, values = list(point.parts), {}
     for r, part in enumerate(parts):
         for channel in part.run.channels:
             key = f"skew.{channel}"
             skew = point.model.own[r].get(key, 0.0)
-            if samples := round(skew / part.run.period_s):
+            if abs(skew) > MOST_OF_A_SAMPLE * part.run.period_s:
+                samples = round(skew / part.run.period_s)
                 run = parts[r].run.delayed(channel, samples)
                 parts[r] = replace(parts[r], run=run, used=run.there)
                 values[f"{key}@{r}"] = skew - samples * part.run.period_s
