@@ -49,14 +49,25 @@ def log_occam(size: Array, information: Array) -> float:
 
 def log_occam_of(hypothesis: Hypothesis, fitted: Fitted) -> float:
     """See `log_occam`, of a name in a model that has it."""
+    keys = [key for key in fitted.prior.keys if key.startswith(f"{hypothesis.name}.")]
+    return _log_occam_of(keys, hypothesis, fitted) + log_shape(hypothesis, fitted)
+
+
+def log_occam_of_shape(hypothesis: Hypothesis, fitted: Fitted) -> float:
+    """What a name loses by having had to say more than its size, and by the search over its shapes, in a logarithm."""
+    alone = _log_occam_of([hypothesis.key], hypothesis, fitted)
+    return log_occam_of(hypothesis, fitted) - alone - float(np.log(len(hypothesis.shapes)))
+
+
+def _log_occam_of(keys: Sequence[str], hypothesis: Hypothesis, fitted: Fitted) -> float:
+    """Of some parameters of a name, its size among them."""
     values, prior = fitted.model.values(), fitted.prior
-    keys = [key for key in prior.keys if key.startswith(f"{hypothesis.name}.")]
     at = [prior.keys.index(key) for key in keys]
     unit = np.array([abs(hypothesis.typical) if key == hypothesis.key else prior.sd[key] for key in keys])
     null = fitted.model.file.meaning(hypothesis.key).null or 0.0
     size = (values[hypothesis.key] - null) / hypothesis.typical
     information = inverse(fitted.covariance[np.ix_(at, at)] / np.outer(unit, unit)) / CRITERIA.tempered
-    return log_occam(np.array([size]), information) + log_shape(hypothesis, fitted)
+    return log_occam(np.array([size]), information)
 
 
 def log_shape(hypothesis: Hypothesis, fitted: Fitted) -> float:

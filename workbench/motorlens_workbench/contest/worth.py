@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_runtime.errors import ModelError
-from motorlens_workbench.contest.bayes_factor import log_occam_of
+from motorlens_workbench.contest.bayes_factor import log_occam_of_shape
 from motorlens_workbench.contest.needed import needed_weight
 from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.evidence.ledger import Ledger, Lens, ledger
@@ -207,8 +207,8 @@ def _of_what_is_unexplained(here: Standing, one: Score, end: Fitted, with_it: Re
     """What a name wins over a model that has no more of what is unexplained than the name leaves.
 
     A torque that nobody measured, and coloured noise, make up for a name as other names do, and where the name is likelier
-    than they are, its parameters and the search over its shapes paid for, that they nearly do is no reason to say that
-    nothing is missing.
+    than they are, its shape paid for (they have a size as well), that they nearly do is no reason to say that nothing is
+    missing.
 
     Args:
         here: where the contest stands.
@@ -218,8 +218,7 @@ def _of_what_is_unexplained(here: Standing, one: Score, end: Fitted, with_it: Re
         won: over the model that stands, as it is.
     """
     hypothesis = one.entry.hypothesis
-    likelier = 0.5 * won + log_occam_of(hypothesis, end) - float(np.log(len(hypothesis.shapes)))
-    if likelier < NEARLY:
+    if 0.5 * won + log_occam_of_shape(hypothesis, end) < NEARLY:
         return won
     quiet = [no_more_than(noise, other) for noise, other in zip(here.noises, with_it.noises, strict=True)]
     try:
