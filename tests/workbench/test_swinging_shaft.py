@@ -113,8 +113,14 @@ def test_gravity_on_a_disc_is_found_where_another_motor_and_timing_make_up_for_i
     channels = {"voltage": volts, "speed": speed, "angle": turned}
     found = diagnose(file, [Recording("disc", time_s, channels, speed_from_angle=True)])
     verdict = settle(found)
-    assert verdict.kind == "named" and "unbalance_torque" in verdict.chosen
-    assert {"coulomb_friction", "hysteresis_iron_loss"} & set(verdict.chosen)
+    # Without a temperature nothing tells hysteresis from it, and a Stribeck friction may have little of its own.
+    alone, friction = verdict.groups
+    assert alone == ("unbalance_torque",)
+    assert (
+        {"coulomb_friction"}
+        < set(friction)
+        <= {"coulomb_friction", "hysteresis_iron_loss", "stribeck_friction"}
+    )
     values = found.outcome.last.fitted.model.values()
     assert values["unbalance_torque.A"] / values["J"] == pytest.approx(11.34**2, rel=0.03)
 
