@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -120,6 +121,16 @@ def param(
     }
     meaning |= {"fixed": fixed, "role": role, "largest": largest}
     return dataclasses.field(default=default, metadata={_KEY: meaning})
+
+
+def phase(description: str) -> Any:
+    """Declare the phase of what goes with the shaft's angle, in rad: any is as likely as any other, and it has no end.
+
+    Its standard deviation is that of a uniform distribution over a turn. A fit begins within half a turn of nought, and its
+    bounds are half a turn farther.
+    """
+    turn = 2 * math.pi
+    return param(0.0, "rad", description, bounds=(-turn, turn), prior=turn / math.sqrt(12), role="phase")
 
 
 def parameters(owner: Any) -> dict[str, Parameter]:

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.textbook import textbook_on, with_name
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.forcing import forcing
 from motorlens_physics.estimate.prepare import prepare_all
+from motorlens_physics.estimate.report import findings
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.simulation import Inputs, simulate
@@ -74,3 +76,15 @@ def test_what_goes_with_the_angle_shows_nothing_at_rest():
     still = (TIME % 10.0) > 9.0
     assert np.abs(masked[still]).max() < 0.02 * np.abs(whole[~still]).max()
     assert np.abs(whole[still]).max() > 0.2 * np.abs(whole[~still]).max()
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("phase", [3.13, -3.13])
+def test_a_phase_has_no_end(tmp_path: Path, phase: float) -> None:
+    """Of a cogging torque of which a fit goes past half a turn from where its shape begins."""
+    hidden = {"name": "cogging_torque", "size": 0.0006, "shape": {"cog_N": 12.0, "cog_p": phase}}
+    _, fitted = with_name(textbook_on(tmp_path, "gear_12V", [hidden], "slow_ramp", 10.0), "cogging_torque")
+    told, sd = fitted.model.values()["cogging_torque.p"], fitted.fit.sd()["cogging_torque.p"]
+    assert told > np.pi and sd < 0.05
+    assert abs(np.angle(np.exp(1j * (told - phase)))) < 3 * sd
+    assert "cogging_torque.p" not in findings(fitted.fit).at_bound

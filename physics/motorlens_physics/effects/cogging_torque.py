@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from motorlens_physics.effect import Effect, State
 from motorlens_physics.ops import sin
-from motorlens_physics.parameter import param
+from motorlens_physics.parameter import param, phase
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class CoggingTorque(Effect):
         fixed=True,
         role="count",
     )
-    p: float = param(0.0, "rad", "phase at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase")
+    p: float = phase("phase at phi = 0")
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:
         return -self.A * sin(self.N * x.phi + self.p)

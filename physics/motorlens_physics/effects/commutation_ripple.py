@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from motorlens_physics.effect import Effect, State
 from motorlens_physics.ops import cos
-from motorlens_physics.parameter import param
+from motorlens_physics.parameter import param, phase
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class CommutationRipple(Effect):
     N: float = param(
         6.0, "1", "ripples a revolution", bounds=(1.0, 1000.0), prior=6.0, fixed=True, role="count"
     )
-    p: float = param(0.0, "rad", "phase at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase")
+    p: float = phase("phase at phi = 0")
 
     def voltage(self, m: Any, x: Any, u: Any) -> Any:
         return -m.ke * self.eps * cos(self.N * x.phi + self.p) * x.w

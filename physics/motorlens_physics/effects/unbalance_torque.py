@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from motorlens_physics.effect import Effect, State
 from motorlens_physics.ops import sin
-from motorlens_physics.parameter import param
+from motorlens_physics.parameter import param, phase
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,7 @@ class UnbalanceTorque(Effect):
         null=0.0,
         largest=3.0,
     )
-    p: float = param(
-        0.0, "rad", "angle of the heavy side at phi = 0", bounds=(-3.15, 3.15), prior=1.0, role="phase"
-    )
+    p: float = phase("angle of the heavy side at phi = 0")
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:
         return -self.A * sin(x.phi + self.p)
