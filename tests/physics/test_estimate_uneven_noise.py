@@ -69,7 +69,7 @@ def test_a_ripple_is_found_where_it_is() -> None:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_what_a_coarse_converter_shows_is_read_by_the_noise_that_there_is(seed: int, monkeypatch) -> None:
     """At full voltage nothing dithers the current: were it as noisy as on the average, its steps would be friction."""
 

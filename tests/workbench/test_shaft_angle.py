@@ -79,7 +79,7 @@ def test_what_goes_with_the_angle_shows_nothing_at_rest():
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("phase", [3.13, -3.13])
+@pytest.mark.parametrize("phase", [3.13, pytest.param(-3.13, marks=pytest.mark.long)])
 def test_a_phase_has_no_end(tmp_path: Path, phase: float) -> None:
     """Of a cogging torque of which a fit goes past half a turn from where its shape begins."""
     hidden = {"name": "cogging_torque", "size": 0.0006, "shape": {"cog_N": 12.0, "cog_p": phase}}
