@@ -1,5 +1,6 @@
 """What one recording claims: no more than it knows where its errors do not tell how noisy its inputs are."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -73,3 +74,22 @@ def test_what_a_speed_shows_is_known_where_an_estimate_goes_on(tmp_path):
     del end["mean_speed"]
     _, (run,) = summary.where_it_ended(end, file, runs, found.fit.prior)
     assert not run.mean_speed
+
+
+def test_uneven_noise_is_known_where_an_estimate_goes_on(tmp_path):
+    path, file = tmp_path / "a.csv", read_motor_file("mellah2016")
+    write(World(1, 1).recorded(0, 0, SEED), path)
+    runs = prepare_all([read_recording(path)], file)
+    found = estimate(file, runs)
+    noise = found.runs[0].noise.uneven(found.runs[0])
+    assert len(noise.edges_V) > 2
+    noise = replace(noise, sensors=noise.sensors * np.linspace(1, 4, noise.sensors.shape[1]))
+    run = replace(found.runs[0], noise=noise)
+    end = json.loads(json.dumps(summary.ended(replace(found, runs=(run,)))))
+    _, (again,) = summary.where_it_ended(end, file, runs, found.fit.prior)
+    np.testing.assert_allclose(again.noise.of_samples(run), noise.of_samples(run), rtol=1e-12)
+    # A file of before has one variance of each channel.
+    even = {name: told for name, told in end["noise"].items() if name not in ("sensors", "edges_V")}
+    end["noise"] = {**even, "channels": [2.0] * len(run.channels)}
+    _, (again,) = summary.where_it_ended(end, file, runs, found.fit.prior)
+    assert np.all(again.noise.of_samples(run) == 2.0)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 # The longest delay that is looked for, as a share of the recording.
 LONGEST = 0.1
-# A skew by more than this share of a sample is a delay by a whole one.
+# A skew by more than this share of a sample is a delay by a whole one: near half a sample, noise would decide.
 MOST_OF_A_SAMPLE = 0.75
 # A delay is said if by this many standard deviations, and more than converters usually have.
 SURE = 4.0

@@ -264,11 +264,13 @@ def uneven(noise: Noise, run: Run, linear: Linearisation, error: Array, used: ND
     Args: as of `lasting`, at parameters near the best.
     """
     other = noise.uneven(run)
+    more = other.sensors.size - noise.sensors.size
+    if not more:
+        return noise
     (_, before), (found, after) = (
         likelier(one, run, linear, error, used, CONVERGED) for one in (noise, other)
     )
-    more = other.sensors.size - noise.sensors.size
-    likely = more > 0 and before - after > chdtri(more, CHANCE)
+    likely = before - after > chdtri(more, CHANCE)
     return found if likely and _leaves_noise(found, run, linear, error, used) else noise
 
 
