@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effect import catalogue
+from motorlens_physics.estimate.prior import TAKEN
 from motorlens_physics.motor_file import Knowledge, MotorFile, Stated, read_motor_file, write_motor_file
 from motorlens_physics.recording import Recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_runtime.errors import DataError
-from motorlens_workbench.ladder import add
+from motorlens_workbench.ladder import Ladder, add
 from motorlens_workbench.report.ladder import sentence
 
 MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
@@ -45,13 +46,21 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def one_by_one(rough, recording, tmp_path_factory) -> list[MotorFile]:
+def one_by_one(steps) -> list[MotorFile]:
     """The motor files that adding one effect and then the other has written."""
-    path, files = tmp_path_factory.mktemp("ladder") / "motor.toml", [rough]
+    return [file for file, _ in steps]
+
+
+@pytest.fixture(scope="module")
+def steps(rough, recording, tmp_path_factory) -> list[tuple[MotorFile, Ladder]]:
+    """The motor file that each addition has written, and its ladder."""
+    path, file, steps = tmp_path_factory.mktemp("ladder") / "motor.toml", rough, []
     for key in SIZES:
-        write_motor_file(add(files[-1], [key.partition(".")[0]], [recording]).rungs[-1].file, path)
-        files.append(read_motor_file(path))
-    return files[1:]
+        ladder = add(file, [key.partition(".")[0]], [recording])
+        write_motor_file(ladder.rungs[-1].file, path)
+        file = read_motor_file(path)
+        steps.append((file, ladder))
+    return steps
 
 
 @pytest.mark.fit
@@ -61,7 +70,7 @@ def test_what_a_file_states_is_kept_from_one_addition_to_the_next(rough, one_by_
     for file in one_by_one:
         known = file.knowledge["R_a0"]
         assert known.prior == Stated(rough.motor.R_a0, size, "bridge")
-        assert file.knowledge["J"].prior is None
+        assert file.knowledge["J"].prior == Stated(rough.motor.J, 0.5 * rough.motor.J, TAKEN)
         # Nothing else tells it.
         assert known.sd == pytest.approx(size, rel=0.02)
         assert file.motor.R_a0 == pytest.approx(known.prior.value, abs=0.2 * size)
@@ -69,6 +78,15 @@ def test_what_a_file_states_is_kept_from_one_addition_to_the_next(rough, one_by_
         sd = one_by_one[-1].knowledge[key].sd
         assert sd is not None and KNOWN < sd / abs(true) < 4 * KNOWN
         assert abs(one_by_one[-1].values()[key] - true) < 3 * sd
+
+
+@pytest.mark.fit
+def test_the_next_addition_begins_where_the_first_did(steps):
+    """What a file has learnt from a recording is no place to begin with it again: its fit might end elsewhere."""
+    (_, first), (_, second) = steps
+    for again, rung in zip(second.rungs, first.rungs, strict=False):
+        assert again.held_out == pytest.approx(rung.held_out, rel=1e-6)
+        assert again.file.values() == pytest.approx(rung.file.values(), rel=1e-4)
 
 
 @pytest.mark.fit

@@ -11,10 +11,10 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.free_run import free_runs
 from motorlens_physics.estimate.model import parts_of
 from motorlens_physics.estimate.prepare import prepare_all, prepare_to_fit
-from motorlens_physics.estimate.prior import FITTED, base_prior, nuisance_prior, stated
+from motorlens_physics.estimate.prior import FITTED, base_prior, held_to, nuisance_prior
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.motor_file import Knowledge, MotorFile
+from motorlens_physics.motor_file import Knowledge, MotorFile, Stated
 from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError
 from motorlens_workbench.contest.entering import from_the_beginning
@@ -132,7 +132,9 @@ def add(
         end = settled(found)
         here = stand(from_the_beginning(here, end, score) or end, own)
         added.append(score)
-        rungs.append(_described(name, here.fitted, here.book, here.lines, judge, recordings, differing))
+        # As the file that is written would be estimated: so will the next addition find it.
+        reached = fitted_of(estimate(here.fitted.model.file, runs, here.fitted.prior))
+        rungs.append(_described(name, reached, *_book(reached), judge, recordings, differing))
     say(f"judging {' and '.join(names)}")
     told = [_beside_the_others(here, score, first if len(added) == 1 else None) for score in added]
     least, (weight, needed) = min(zip(names, told, strict=True), key=lambda known: known[1][0] - known[1][1])
@@ -268,9 +270,8 @@ def _described(
     file, known = fitted.model.file, {}
     for key in file.values():
         if key in spread:
-            before = stated(file, key, names)
             # Of the file that was fitted; its values have moved.
-            kept = before and replace(before, value=fitted.prior.centre[key])
+            kept = Stated(fitted.prior.centre[key], fitted.prior.sd[key], held_to(file, key, names).source)
             known[key] = Knowledge(spread[key], source, prior=kept)
     file = file.with_values({}, known)
     said = findings(fitted.fit).in_short

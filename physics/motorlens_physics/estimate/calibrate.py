@@ -16,8 +16,9 @@ from motorlens_physics.estimate.prior import (
     Prior,
     around,
     base_prior,
+    before,
     calibrated_on,
-    stated,
+    held_to,
 )
 from motorlens_physics.estimate.report import Findings, correlation, findings
 from motorlens_physics.estimate.run import Run
@@ -184,7 +185,7 @@ def calibrate(
     if not any(run.moves for run in runs):
         raise DataError(f"{names}: nothing can be told; no current, speed or temperature ever changes")
     prior = chosen(file, base_prior(file, runs), keys)
-    begin = start_model(file, runs)
+    begin = start_model(before(file, prior), runs)
     if fit_load:
         for r in range(len(runs)):
             prior = prior.joined(around(f"load@{r}", 0.0, file.rated.torque_Nm))
@@ -201,10 +202,10 @@ def calibrate(
 
 def _learnt(file: MotorFile, key: str, sd: float, recordings: Sequence[Recording]) -> Knowledge:
     """What is known of a parameter of a motor file after it was calibrated, and was before any of the recordings."""
-    before = stated(file, key, frozenset(recording.name for recording in recordings))
+    known = held_to(file, key, frozenset(recording.name for recording in recordings))
     # What was learnt from other recordings is in it as well: all are named, and what was stated before all of them is kept.
-    names = dict.fromkeys((*calibrated_on(before), *(recording.name for recording in recordings)))
-    prior = file.knowledge[key].prior if calibrated_on(before) else before
+    names = dict.fromkeys((*calibrated_on(known), *(recording.name for recording in recordings)))
+    prior = file.knowledge[key].prior if calibrated_on(known) else known
     return Knowledge(sd, CALIBRATED + ", ".join(names), prior=prior)
 
 

@@ -29,6 +29,8 @@ RELATIVE_SD = {
 FITTED = "fitted to "
 # A source that begins so names the recordings that the value was learnt from.
 CALIBRATED = "calibrated on "
+# The source of what is taken of a parameter where nothing is stated.
+TAKEN = "taken, as nothing was stated"
 # A share of the value in the motor file below which no textbook parameter may fall: none is 20 times off.
 LEAST = 0.05
 # A width is no less than this share of what it typically is: what is sharper acts as that does, and a fit has nothing to go
@@ -130,12 +132,9 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
 
 def textbook_prior(file: MotorFile, recordings: Set[str] = frozenset()) -> Prior:
     """The textbook's parameters that are not known exactly, beside recordings of these names."""
-    values, prior = file.values(), NOTHING
-    for key, relative in RELATIVE_SD.items():
-        meaning, known = file.meaning(key), stated(file, key, recordings)
-        if known is None:
-            size = max(abs(values[key]), 0.1 * meaning.typical(file.rated))
-            known = Stated(values[key], relative * size)
+    prior = NOTHING
+    for key in RELATIVE_SD:
+        meaning, known = file.meaning(key), held_to(file, key, recordings)
         if known.sd == 0:
             continue
         bounds = (max(meaning.bounds[0], LEAST * known.value), meaning.bounds[1])
@@ -154,6 +153,30 @@ def stated(file: MotorFile, key: str, recordings: Set[str] = frozenset()) -> Sta
         return known.prior
     now = Stated(file.values()[key], known.sd, known.source)
     return next((one for one in (now, known.prior) if one and not _learnt(one, recordings)), None)
+
+
+def held_to(file: MotorFile, key: str, recordings: Set[str] = frozenset()) -> Stated:
+    """What a fit to recordings of these names holds a parameter to: what is stated, or what is taken where nothing is."""
+    known = stated(file, key, recordings)
+    if known is not None:
+        return known
+    meaning, value = file.meaning(key), file.values()[key]
+    if key in RELATIVE_SD:
+        size = max(abs(value), 0.1 * meaning.typical(file.rated))
+        return Stated(value, RELATIVE_SD[key] * size, TAKEN)
+    # The switch is free; a shape is known within a factor of a few.
+    if meaning.null is not None:
+        return Stated(meaning.null, 30 * abs(meaning.typical(file.rated)), TAKEN)
+    return Stated(value, max(abs(value), meaning.sd(file.rated)), TAKEN)
+
+
+def before(file: MotorFile, prior: Prior) -> MotorFile:
+    """The motor file with the textbook's parameters where they were before the recordings told of them.
+
+    What was learnt from recordings would begin their next fit elsewhere than the first, and several minima are left where
+    one begins. Effects and sensors' faults, which may be of any size, are where they are.
+    """
+    return file.with_values({key: prior.centre[key] for key in prior.keys if key in RELATIVE_SD})
 
 
 def calibrated_on(one: Stated | None) -> tuple[str, ...]:
@@ -180,22 +203,13 @@ def part_prior(file: MotorFile, name: str, recordings: Set[str] = frozenset()) -
     prior = NOTHING
     for parameter, meaning in part.parameters().items():
         key = f"{name}.{parameter}"
-        known = stated(file, key, recordings)
-        if meaning.fixed or (known is not None and known.sd == 0):
+        known = held_to(file, key, recordings)
+        if meaning.fixed or known.sd == 0:
             continue
-        typical = meaning.typical(file.rated)
-        # The switch is free; a shape is known within a factor of a few.
-        if meaning.null is not None:
-            centre, width = meaning.null, 30 * abs(typical)
-        else:
-            centre = getattr(part, parameter)
-            width = max(abs(centre), meaning.sd(file.rated))
-        if known is not None:
-            centre, width = known.value, known.sd
         low, high = meaning.bounds
         if meaning.role == "width":
-            low = max(low, SHARPEST * typical)
-        prior = prior.joined(Prior({key: centre}, {key: width}, {key: (low, high)}))
+            low = max(low, SHARPEST * meaning.typical(file.rated))
+        prior = prior.joined(Prior({key: known.value}, {key: known.sd}, {key: (low, high)}))
     return prior
 
 
