@@ -75,7 +75,7 @@ def to_text(document: dict[str, Any]) -> str:
     rows = [sentence(document), "", "Error, rms, on blocks of time that the parameters were not fitted to:"]
     channels = list(document["noise_floor"])
     judged = bool(document["ladder"][-1]["judged"])
-    heading = f"{'model':<34}" + "".join(f"{c + ', ' + UNIT_OF.get(c, ''):>16}" for c in channels)
+    heading = f"{'model':<34}" + "".join(f"{c + ', ' + UNIT_OF.get(c, ''):>20}" for c in channels)
     rows.append(heading + ("   on recordings not fitted: " + ", ".join(channels) if judged else ""))
     for rung in document["ladder"]:
         label = (
@@ -84,7 +84,7 @@ def to_text(document: dict[str, Any]) -> str:
             else rung["added"]
         )
         line = f"{label or 'textbook':<34}" + "".join(
-            f"{rung['held_out'].get(c, float('nan')):>16.4g}" for c in channels
+            f"{rung['held_out'].get(c, float('nan')):>20.4g}" for c in channels
         )
         rows.append(
             line
@@ -94,7 +94,7 @@ def to_text(document: dict[str, Any]) -> str:
                 else ""
             )
         )
-    rows.append(f"{'noise floor':<34}" + "".join(f"{document['noise_floor'][c]:>16.4g}" for c in channels))
+    rows.append(f"{'noise floor':<34}" + "".join(f"{document['noise_floor'][c]:>20.4g}" for c in channels))
     rows += _risen(document)
     rows += ["", f"{'parameter':<34}{'value':>14}{'sd':>12}"]
     for key, entry in document["parameters"].items():
