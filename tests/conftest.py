@@ -31,8 +31,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 _LASTING = ("multiprocessing.resource_tracker", "multiprocessing.forkserver")
 # A program that has been told to end may need a moment on a busy machine.
 _GRACE_S = 60.0
-# A test of the quick tier uses half a second, one that is not long half a minute; a first compilation or import may fall on
-# anyone.
+# A test of the quick tier uses half a second, one that is not long some ten seconds, or more where nothing shorter shows it;
+# a first compilation or import may fall on anyone.
 _QUICK_S, _SHORT_S = 2.0, 60.0
 _costly: dict[str, tuple[float, str]] = {}
 # What each file of tests has used of a processor, fixtures and programs included, and how long it took, with what it waited

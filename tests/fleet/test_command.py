@@ -85,6 +85,7 @@ def test_files_failures_and_a_second_run(plant, capsys):
     assert results == {name: (plant / "out" / name).stat().st_mtime_ns for name in results}
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_recording_that_takes_more_memory_than_a_worker_may_is_one_line_and_the_rest_goes_on(
     tmp_path, monkeypatch, capsys
@@ -112,6 +113,7 @@ def test_a_recording_that_takes_more_memory_than_a_worker_may_is_one_line_and_th
     assert len(peace) == 4 and peace == war
 
 
+@pytest.mark.long
 def test_what_brief_recordings_are_worth_is_in_the_file_of_the_make(plant, capsys):
     words = [
         "--motor",

@@ -258,6 +258,7 @@ def test_intervals_hold_where_the_spread_is_not_told():
     assert 0.945 < np.mean(inside) < 0.98
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_intervals_hold_where_two_parameters_are_told_together():
     """What recordings tell best is a difference of two parameters, and how much motors differ in one does for the other."""
@@ -284,6 +285,7 @@ def test_intervals_hold_where_two_parameters_are_told_together():
     assert 0.935 < np.mean(inside) < 0.965, np.mean(inside)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 @pytest.mark.parametrize(("spread", "power"), [((0.0, 0.05), 0.6), ((0.05, 0.0), 0.05)])
 def test_a_spread_that_another_one_does_for_is_not_said_to_be_told(spread, power):

@@ -104,6 +104,7 @@ def test_the_odd_ones_and_what_is_odd_about_them(plain):
     assert found.lacks is None
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_motors_that_are_odd_in_an_effect_alone_do_not_count(file):
     """They leave the make what it is without them: friction would pass for a spread of b."""

@@ -119,8 +119,9 @@ def driven(
     return motor, estimate(file, runs)
 
 
+@pytest.mark.long
 @pytest.mark.fit
-@pytest.mark.parametrize(("seed", "told"), [(1, 0.03), pytest.param(2, 0.05, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("seed", "told"), [(1, 0.03), (2, 0.05)])
 def test_the_noise_of_a_voltage_in_ramps_is_told_from_the_current_s(seed: int, told: float) -> None:
     """White noise of the voltage, through the inductance, is much as coloured noise of the current: the voltage shows it."""
     rng = np.random.default_rng(seed)
@@ -136,8 +137,9 @@ def test_the_noise_of_a_voltage_in_ramps_is_told_from_the_current_s(seed: int, t
     assert sd["L"] < told * motor["L"]
 
 
+@pytest.mark.long
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [1, 3])
 def test_a_creeping_motor_is_not_told_by_the_noise_of_its_voltage(seed: int) -> None:
     """Coloured noise that is left in a voltage looks as if it moved the motor: at rest it would tell the inertia."""
     rng = np.random.default_rng(seed)
@@ -150,14 +152,11 @@ def test_a_creeping_motor_is_not_told_by_the_noise_of_its_voltage(seed: int) -> 
     assert 0.03 * motor["R_a0"] < sd["R_a0"] < 0.15 * motor["R_a0"]
 
 
+@pytest.mark.long
 @pytest.mark.fit
 @pytest.mark.parametrize(
     ("seed", "held"),
-    [
-        (1, True),
-        pytest.param(2, True, marks=pytest.mark.long),
-        pytest.param(2, False, marks=pytest.mark.long),
-    ],
+    [(1, True), (2, True), (2, False)],
 )
 def test_a_chirp_is_timed_as_it_was_beside_noise_that_lasts(seed: int, held: bool) -> None:
     """Smoothing leaves most of it in the voltage. Where the sensitivities held it too, all seemed to come early."""
@@ -172,8 +171,9 @@ def test_a_chirp_is_timed_as_it_was_beside_noise_that_lasts(seed: int, held: boo
     assert sd["L"] < 0.1 * motor["L"] and sd["ke"] < 0.01 * motor["ke"]
 
 
+@pytest.mark.long
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_sample_and_a_skew_are_one_delay_beside_noise_that_lasts(seed: int) -> None:
     """Where a skew may make up for it, that all is moved by a sample makes a recording no likelier."""
     time = 0.002 * np.arange(SAMPLES)
@@ -197,20 +197,20 @@ def test_white_noise_is_not_taken_for_coloured() -> None:
     assert noise is not None and len(noise.disturbances) == TORQUE + 1
 
 
+@pytest.mark.long
 @pytest.mark.fit
-@pytest.mark.parametrize(
-    ("remains", "is_noise"), [pytest.param(0.7, True, marks=pytest.mark.long), (0.995, False)]
-)
+@pytest.mark.parametrize(("remains", "is_noise"), [(0.7, True), (0.995, False)])
 def test_what_lasts_longer_than_noise_is_none(remains: float, is_noise: bool) -> None:
     """Correlated over 3 samples, and over 200."""
     noise = fitted(TYPICAL, white=0.005, coloured=0.01, remains=remains).runs[0].noise
     assert noise is not None and (len(noise.disturbances) > TORQUE + 1) == is_noise
 
 
+@pytest.mark.long
 @pytest.mark.fit
 @pytest.mark.parametrize(
     "missing",
-    [pytest.param({"lost": 0.1}, marks=pytest.mark.long), {"coloured": 0.01, "until": SAMPLES // 8}],
+    [{"lost": 0.1}, {"coloured": 0.01, "until": SAMPLES // 8}],
     ids=["magnet", "spell"],
 )
 def test_what_the_model_lacks_is_not_taken_for_noise(missing: dict[str, float]) -> None:

@@ -61,8 +61,9 @@ def fitted(
     return estimate(FILE, prepare_all([Recording("late.csv", time, channels)], FILE))
 
 
+@pytest.mark.long
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [310153, pytest.param(310305, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [310153, 310305])
 def test_inputs_that_hold_are_not_taken_for_linear_ones_that_are_late(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,6 +69,7 @@ def test_hum_is_found_and_taken_out(rate_Hz: float, lines: dict[tuple[str, float
         assert any(f"Hz out of the {name}" in note for note in notes_of([run]))
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_what_the_drive_stirs_up_at_the_frequency_of_the_mains_is_no_hum() -> None:
     """A square wave of 16.7 Hz has lines at 50 and 150 Hz, and so has what half the inductance leaves."""

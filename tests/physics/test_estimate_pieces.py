@@ -41,6 +41,7 @@ def two_runs() -> tuple[Run, ...]:
     return prepare_all(made, FILE)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_pieces_lead_where_all_samples_lead(monkeypatch: pytest.MonkeyPatch) -> None:
     runs = two_runs()

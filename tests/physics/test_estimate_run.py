@@ -156,6 +156,7 @@ def test_a_rest_is_where_nothing_changes_and_a_slow_sensor_is_none(held: int):
     assert not prepare(turning(0.0, held=held), read_motor_file(MOTOR)).rests.any()
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_rest_does_not_make_the_noise_smaller():
     file = read_motor_file(MOTOR)

@@ -79,6 +79,7 @@ def test_thousand_steps_are_one_long_step(bank):
     assert np.abs(many[:, -1] / one[:, 0] - 1).max() < 1e-10
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_day_at_a_kilohertz_ends_where_the_closed_form_says():
     """Thermal state after 24 h of a square wave of one hour, 8.64e7 samples; float32 would be per cents off."""

@@ -72,6 +72,7 @@ def test_a_bump_is_seen_where_a_curve_over_all_speeds_hardly_sees_it(here):
     assert np.median(fine) == pytest.approx(np.median(coarse) / FINER, rel=0.3)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_bump_is_unknown_and_told_with_its_speed():
     found = diagnose(read_motor_file(MOTOR), (recorded(HEIGHT),))

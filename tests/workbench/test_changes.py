@@ -45,6 +45,7 @@ def is_dated(term, parameter, at_s, by):
     assert change.at_s == pytest.approx(at_s, abs=0.12)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_change_at_once_is_unknown_and_dated():
     found, verdict = diagnosed(flux=np.where(TIME > 1.8, 0.98, 1.0))

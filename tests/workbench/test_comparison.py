@@ -182,6 +182,7 @@ def test_imposed_current_and_speed_leave_the_heat_to_be_tested() -> None:
         assert all((f"imposed {what}" in pictures) == imposed for what in ("current", "speed"))
 
 
+@pytest.mark.long
 def test_several_recordings_are_pooled() -> None:
     one, other = bench(*MISSING["mechanical"], seed=1), bench(*MISSING["mechanical"], seed=2)
     together = compare(SERVO, [one, other]).channels["speed"].rmse

@@ -64,11 +64,14 @@ def test_spells_are_found_with_their_size_and_share(more, share):
         pytest.param({"resistance": np.where(np.arange(N) > N // 2, 1.3, 1.0)}, marks=pytest.mark.long),
         {"spikes_V": 40.0},
         # As often less as more: that is no contact.
-        {
-            "resistance": 1.0
-            + 0.3 * spells(np.random.default_rng(1), 0.1)
-            - 0.3 * spells(np.random.default_rng(2), 0.1)
-        },
+        pytest.param(
+            {
+                "resistance": 1.0
+                + 0.3 * spells(np.random.default_rng(1), 0.1)
+                - 0.3 * spells(np.random.default_rng(2), 0.1)
+            },
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_what_is_no_contact_is_not_called_one(shares):

@@ -111,6 +111,7 @@ def test_what_is_needed_is_rarer_by_chance_without_a_name_than_with_one(named, l
     assert least <= rate <= most
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_motor_that_responds_less_is_no_likelier_for_having_less_of_the_noise_of_its_inputs():
     """Nothing is missing, and the voltage is noisy: 5 % more resistance passes less of that noise on.

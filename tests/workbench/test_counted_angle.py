@@ -16,9 +16,9 @@ from motorlens_workbench.verdict import settle
 @pytest.mark.parametrize(
     ("number", "between"),
     [
-        (10, False),
+        pytest.param(10, False, marks=pytest.mark.long),
         (14, False),
-        (14, True),
+        pytest.param(14, True, marks=pytest.mark.long),
         (22, True),
         # Counts of a motor without any ripple repeat, and go with the angle.
         pytest.param(10, True, marks=pytest.mark.xfail(strict=True, reason="a cogging torque is named")),

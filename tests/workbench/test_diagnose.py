@@ -85,6 +85,9 @@ def test_coulomb_friction_is_found_with_its_size(rough):
         size = next(iter(next(e for e in document["candidates"] if e["name"] == name)["parameters"].values()))
         assert size["value"] == pytest.approx(0.3, abs=4 * size["sd"] + 0.01)
         assert size["sd"] < 0.03
+    # What decided is in the document.
+    accepted = next(entry for entry in document["candidates"] if entry["name"] == document["chosen"][0])
+    assert accepted["statistic"] > document["criteria"]["needed"] > 5 and accepted["p"] < 1e-6
     error = document["error"]
     assert error["after"]["current"] < 0.9 * error["before"]["current"]
     assert error["after"]["speed"] < 1.1 * error["noise_floor"]["speed"]
@@ -158,15 +161,6 @@ def test_a_sensor_offset_is_not_taken_for_physics(rough):
     assert all("_sensor_" in name for name in offered)
 
 
-@pytest.mark.fit
-def test_what_decided_is_in_the_document(rough):
-    _, document = diagnosed(rough, recorded(4, {"quadratic_drag": 2e-5}))
-    assert "quadratic_drag" in {name for group in document["groups"] for name in group}
-    accepted = next(entry for entry in document["candidates"] if entry["name"] == document["chosen"][0])
-    assert accepted["statistic"] > document["criteria"]["needed"] > 5
-    assert accepted["p"] < 1e-6
-
-
 @dataclass(frozen=True)
 class FrictionBump(Effect):
     """A torque against the motion, most at one speed: -A exp(-((|w| - w_b) / d)^2) sign(w). In no catalogue."""
@@ -216,6 +210,7 @@ def test_a_size_is_right_in_a_motor_that_was_calibrated_on_the_same_recording_wi
     assert after == pytest.approx(before, abs=0.3 * sd) and same == pytest.approx(sd, rel=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_the_commands_in_a_row(rough, tmp_path, capsys):
     motor, first, second = tmp_path / "motor.toml", tmp_path / "a.csv", tmp_path / "b.csv"

@@ -67,6 +67,7 @@ def test_what_was_put_in_stays_and_nothing_is_counted_against_it_that_is_less_li
     assert set(other.instead) <= ALIKE, "nothing else seems likelier, so nothing else was fitted"
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_what_seems_too_unlikely_for_the_group_is_fitted_before_it_is_left_out(tmp_path: Path) -> None:
     """A core that loses little heat of its own is a housing, but seems another thing beside a housing that was fitted."""
@@ -201,6 +202,7 @@ def test_what_has_ended_at_its_null_leaves_whatever_another_size_would_explain(b
     assert left == [last] and not any(key.startswith("coulomb_friction.") for key in then.fitted.prior.keys)
 
 
+@pytest.mark.long
 @pytest.mark.blind
 def test_what_seems_to_explain_most_in_a_model_that_has_it_is_no_likelier_than_what_was_fitted_beside_it(
     tmp_path: Path,

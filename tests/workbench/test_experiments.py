@@ -72,6 +72,7 @@ def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_of
     assert after.groups == ((guilty,),)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_no_run_tells_one_wrong_scale_from_another(rough):
     """Torque over current, voltage over speed: four scales in one ratio (ke), whatever the motor does."""
@@ -128,6 +129,7 @@ def test_a_group_is_in_parts_of_which_no_two_are_left_together(
         assert 100.0 * times <= 1.002 * told[1] < 135.0 * times
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_a_run_both_ways_tells_a_drop_from_offsets_that_no_run_tells_from_each_other(rough) -> None:
     """One way all are a constant voltage. A drop turns with the current, and offsets do not."""

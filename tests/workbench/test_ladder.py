@@ -89,6 +89,7 @@ def test_the_next_addition_begins_where_the_first_did(steps):
         assert again.file.values() == pytest.approx(rung.file.values(), rel=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_what_is_far_from_the_motor_file_is_said(rough, recording):
     """In the words of the other commands; an inertia stated a third too low."""
@@ -113,6 +114,7 @@ def test_several_at_once_are_what_they_are_one_after_the_other(rough, recording,
         assert found.knowledge[key].sd == pytest.approx(sd, rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_of_several_that_which_explains_nothing_is_named(rough, recording):
     found = add(rough, ["coulomb_friction", "constant_torque", "quadratic_drag"], [recording])

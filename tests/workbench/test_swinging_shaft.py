@@ -42,7 +42,7 @@ def swung(gravity_Nm: float, phase: float, volts: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("share", [0.0, 0.5])
+@pytest.mark.parametrize("share", [0.0, pytest.param(0.5, marks=pytest.mark.long)])
 def test_gravity_on_an_arm_is_told_where_its_angle_is_measured(share: float) -> None:
     """As large as a share of the rated torque; without any, nothing is missing."""
     rng = np.random.default_rng(4)

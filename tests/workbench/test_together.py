@@ -91,6 +91,7 @@ def test_two_that_leave_more_than_noise_are_not_the_truth(file, monkeypatch):
     assert found is not None and found[0].times_noise > 100
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_beside_what_is_the_whole_truth_nothing_enters(file):
     here = swept(file, 0.0)

@@ -23,8 +23,9 @@ PLATE = Rated(
 PERIOD_S, SAMPLES = 5e-3, 4000
 
 
+@pytest.mark.long
 @pytest.mark.fit
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_load_in_steps_that_nobody_measured(seed: int) -> None:
     rng = np.random.default_rng(seed)
     voltage = np.repeat(rng.uniform(0.2, 1.0, SAMPLES // 100) * RATED["voltage"], 100)

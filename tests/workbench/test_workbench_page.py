@@ -119,6 +119,7 @@ def simulate(duration="10", rate="100"):
     )
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_steps_are_the_commands_that_are_shown(bench, capsys):
     simulate()
