@@ -25,7 +25,9 @@ def needed_weight(
     if named:
         return max(here.null.weight(CRITERIA.excess), 0.5 * CRITERIA.colour * colour, 0.0)
     shares = (0.5 * CRITERIA.instead * one.gain for one in accepted)
-    return max(here.null.weight(2 * CRITERIA.excess), 0.5 * CRITERIA.unnamed_colour * colour, *shares, 0.0)
+    return max(
+        here.null.weight(CRITERIA.excess, wide=2.0), 0.5 * CRITERIA.unnamed_colour * colour, *shares, 0.0
+    )
 
 
 def beyond_chance(here: Standing, accepted: Sequence[Accepted], refused: Sequence[str]) -> list[Challenger]:

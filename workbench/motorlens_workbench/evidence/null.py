@@ -18,6 +18,9 @@ from motorlens_workbench.evidence.score import Score
 Array = NDArray[np.float64]
 
 FLIPS = 300
+# The width that minus the logarithm of a probability has. Where few blocks of time carry what a recording tells, none of
+# their flips is far from the others, and the null seems narrower than the test can be.
+LEAST = 1.0
 EULER = 0.5772156649
 
 
@@ -37,9 +40,9 @@ class Null:
         """How far a weight lies beyond the mode, in widths."""
         return (weight - self.mode) / self.scale
 
-    def weight(self, excess: float) -> float:
-        """The weight that lies so far beyond."""
-        return self.mode + excess * self.scale
+    def weight(self, excess: float, wide: float = 1.0) -> float:
+        """The weight that lies so many widths beyond, each that many times as wide as the null's, and no less than `LEAST`."""
+        return self.mode + excess * max(wide * self.scale, LEAST)
 
 
 def null_of(scores: Sequence[Score], rng: np.random.Generator) -> Null | None:
