@@ -41,7 +41,7 @@ class Null:
         return (weight - self.mode) / self.scale
 
     def weight(self, excess: float, wide: float = 1.0) -> float:
-        """The weight that lies so many widths beyond, each that many times as wide as the null's, and no less than `LEAST`."""
+        """The weight so many widths beyond, each that many times as wide as the null's, and no narrower than `LEAST`."""
         return self.mode + excess * max(wide * self.scale, LEAST)
 
 
