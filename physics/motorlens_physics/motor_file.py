@@ -31,7 +31,7 @@ from typing import Any, TypeGuard
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Parameter, Rated, parameters
-from motorlens_physics.sensor_model import SensorModel, sensor_models
+from motorlens_physics.sensor_model import SensorModel, in_chain, sensor_models
 from motorlens_runtime.errors import DataError, ModelError
 from motorlens_runtime.files.shipped import motor_path
 
@@ -71,7 +71,8 @@ class MotorFile:
     """A motor, its rating plate, its sensors, and what is known of each parameter.
 
     `knowledge` is keyed like the parameters of a fit: "R_a0", "coulomb_friction.tau_c", "speed_sensor_gain.gain".
-    `brief_s` is how long recordings are of which it says by how much they lead away from their motor.
+    `brief_s` is how long recordings are of which it says by how much they lead away from their motor. `sensors` are in
+    the order in which they act, see `in_chain`.
     """
 
     name: str
@@ -82,6 +83,9 @@ class MotorFile:
     description: str = ""
     text: str = ""  # the TOML it was read from, so that writing keeps comments and order
     brief_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensors", in_chain(self.sensors))
 
     @property
     def parts(self) -> tuple[Effect | SensorModel, ...]:

@@ -11,6 +11,7 @@ is, not what is missing from a model.
 
 import importlib
 import pkgutil
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -32,6 +33,8 @@ RATED_OF_CHANNEL = {
 }
 # The unit of each channel; a temperature is in degC, a difference of temperatures in K.
 UNIT_OF_CHANNEL = {"voltage": "V", "current": "A", "speed": "rad/s", "temperature": "K", "load_torque": "N*m"}
+# How a quantity comes to its column: the sensing element, its amplifier, what disturbs the line, the converter, the logger.
+CHAIN = ("lag", "gain", "offset", "noise", "clipping", "quantisation", "dead")
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,14 @@ class SensorModel:
             unit=unit if parameter.unit == "channel" else parameter.unit,
             of=of if parameter.of == "channel" else parameter.of,
         )
+
+
+def in_chain(sensors: Iterable[SensorModel]) -> tuple[SensorModel, ...]:
+    """Sensor models in the order in which they act, whatever the order in which they were found, see `CHAIN`.
+
+    A sensor of a gain and an offset shows gain y + offset.
+    """
+    return tuple(sorted(sensors, key=lambda sensor: (*CHAIN, sensor.kind).index(sensor.kind)))
 
 
 def sensor_models() -> dict[str, SensorModel]:

@@ -14,7 +14,8 @@ from helpers.effect_contract import PLATES
 
 from motorlens_physics.describe import CITATION
 from motorlens_physics.estimate.calibrate import calibrate
-from motorlens_physics.motor_file import read_motor_file, with_overrides
+from motorlens_physics.estimate.model import Model, with_sensor
+from motorlens_physics.motor_file import read_motor_file, with_overrides, write_motor_file
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import CHANNELS, UNIT_OF_CHANNEL, sensor_catalogue, sensor_models
 from motorlens_physics.sensors.clipping import SensorClipping
@@ -273,3 +274,20 @@ def test_clipping_and_death_leave_the_rest_alone():
     dead = SensorDead("current", after=30.0, shows=0.7).record(time, y, rng())
     np.testing.assert_array_equal(dead[:30], y[:30])
     assert set(dead[30:]) == {0.7}
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_gain_and_an_offset_show_the_same_whichever_was_found_first(order, tmp_path):
+    """gain y + offset, and not gain (y + offset); also where a contest or a file adds one after the other."""
+    faults = SensorGain("speed", 1.25), SensorOffset("speed", -3.0)
+    file = replace(read_motor_file("mellah2016"), sensors=tuple(faults[k] for k in order))
+    run = perform(file, scenarios()["no_load_steps"](2.0, 0.01), rng())
+    clean = measure(run, (), {}, rng()).channels["speed"]
+    shown = measure(run, file.sensors, {}, rng()).channels["speed"]
+    np.testing.assert_allclose(shown, 1.25 * clean - 3.0, rtol=1e-12)
+    model = Model(file, (), ())
+    for fault in (replace(faults[k], channel="voltage") for k in order):
+        model = with_sensor(model, fault)
+    assert [sensor.kind for sensor in model.file.sensors if sensor.channel == "voltage"] == ["gain", "offset"]
+    write_motor_file(model.file, tmp_path / "motor.toml")
+    assert read_motor_file(tmp_path / "motor.toml").sensors == model.file.sensors
