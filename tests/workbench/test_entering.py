@@ -35,7 +35,7 @@ COGGING = {"name": "cogging_torque", "size": 0.0084, "shape": {"cog_N": 12.0, "c
 @pytest.mark.parametrize(
     ("motor", "hidden", "seen", "expected"),
     [
-        ("gear_12V", STRIBECK, False, {"tau_s": (0.0026, 0.05), "w_k": (15.1, 0.1)}),
+        ("gear_12V", STRIBECK, False, {"tau_s": (0.0026, 0.15), "w_k": (15.1, 0.05)}),
         ("servo_24V", COGGING, True, {"A": (0.0084, 0.15), "N": (12.0, 1e-9), "p": (1.9, 0.05)}),
     ],
     ids=["stribeck friction", "cogging torque"],

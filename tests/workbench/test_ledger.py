@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from motorlens_workbench.evidence.ledger import Ledger
 from motorlens_workbench.evidence.look import best_of
-from motorlens_workbench.evidence.null import FLIPS, null_of
+from motorlens_workbench.evidence.null import FLIPS, LEAST, null_of
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
@@ -175,13 +175,16 @@ def many(rng: np.random.Generator, size: float = 0.0) -> list[Score]:
 def test_the_largest_of_all_shapes_is_beyond_its_null_as_often_as_is_stated():
     """Pure noise, a thousand worlds through the whole search: at the 5 % point of Gumbel's distribution some 5 %."""
     rng = np.random.default_rng(4)
-    at_five, beyond = -np.log(-np.log(0.95)), 0
+    at_five, beyond, scales = -np.log(-np.log(0.95)), 0, []
     for _ in range(1000):
         scores = many(rng)
         null = null_of(scores, rng)
         assert null is not None
         beyond += null.excess(max(score.weight for score in scores)) > at_five
+        scales.append(null.scale)
     assert 0.02 < beyond / 1000 < 0.08
+    # By chance it is hardly ever narrower than what is taken for the least.
+    assert LEAST < np.quantile(scales, 0.01) < 1.1 * LEAST
 
 
 def test_the_null_is_the_largest_of_every_shape_under_every_flip():

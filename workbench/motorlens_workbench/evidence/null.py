@@ -18,9 +18,9 @@ from motorlens_workbench.evidence.score import Score
 Array = NDArray[np.float64]
 
 FLIPS = 300
-# The width that minus the logarithm of a probability has. Where few blocks of time carry what a recording tells, none of
-# their flips is far from the others, and the null seems narrower than the test can be.
-LEAST = 1.0
+# The narrowest that the null is in pure noise (`pytest tests/workbench/test_ledger.py -k as_often_as_is_stated`). Where few
+# blocks of time carry what a recording tells, none of their flips is far from the others, and it seems narrower than that.
+LEAST = 0.7
 EULER = 0.5772156649
 
 
