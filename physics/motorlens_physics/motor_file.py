@@ -12,7 +12,8 @@ R_a0 = { value = 3.5, unit = "ohm", sd = 0.035, source = "published: arXiv 2104.
 [effects.coulomb_friction]
 tau_c = { value = 0.3, unit = "N*m", sd = 0.01, source = "fitted to bench.csv" }
 
-A fitted value keeps what was stated of it before, to which the next fit to the same recordings holds:
+A fitted value keeps what was stated of it before, or taken where nothing was, to which the next fit to the same recordings
+holds:
 
 R_a0 = { value = 3.61, unit = "ohm", sd = 0.02, source = "fitted to bench.csv", prior = { value = 3.5, sd = 0.035 } }
 
@@ -57,7 +58,7 @@ class Knowledge:
     """What is known of one value: its standard deviation (None: not stated) and where it comes from.
 
     `brief_sd` is by how much a recording of `MotorFile.brief_s` leads away from its motor, see `make`. `prior` is what was
-    stated before the value was fitted to recordings from which more may still be learnt.
+    stated, or taken, before the value was fitted to recordings from which more may still be learnt.
     """
 
     sd: float | None = None

@@ -4,7 +4,7 @@ One table and one rule for every command. A parameter with `sd = 0` is known exa
 deviation counts as stated; that a resistance or an inertia is next to nothing is far less likely than that says. A value
 without one, or one that was fitted while something was missing from the model, may be off by the share of it that the
 table says. What a file learnt from a recording does not count beside that recording, which would be counted twice; what was
-stated before does.
+stated, or taken, before does, and there the next fit begins.
 """
 
 from collections.abc import Mapping, Sequence, Set
