@@ -97,7 +97,7 @@ class SensorModel:
 def in_chain(sensors: Iterable[SensorModel]) -> tuple[SensorModel, ...]:
     """Sensor models in the order in which they act, whatever the order in which they were found, see `CHAIN`.
 
-    A sensor of a gain and an offset shows gain y + offset.
+    A sensor of a gain and an offset shows gain y + offset. What the chain does not name comes last.
     """
     return tuple(sorted(sensors, key=lambda sensor: (*CHAIN, sensor.kind).index(sensor.kind)))
 

@@ -66,7 +66,6 @@ def bundled(tmp_path_factory):
     return target, json.loads((folder / "b.json").read_text())
 
 
-@pytest.mark.long
 @pytest.mark.fit
 def test_installs_and_runs_without_a_network(bundled, tmp_path):
     target, _ = bundled

@@ -1,5 +1,6 @@
 """Bayes factors of the contest against integrals done numerically, and likelihoods of models against what was simulated."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -110,7 +111,7 @@ def test_what_is_correlated_as_no_noise_is_estimated_anew_with_names_before_it_i
 def test_what_is_needed_is_rarer_by_chance_without_a_name_than_with_one(scale, named, least, most):
     """Gumbel's distribution by another's code, no narrower than in pure noise."""
     here = SimpleNamespace(null=Null(6.0, scale), book=SimpleNamespace(colour=0.0))
-    rate = gumbel_r(6.0, max(scale, 0.7)).sf(needed_weight(here, (), named=named))  # type: ignore[arg-type]
+    rate = gumbel_r(6.0, max(scale, math.sqrt(6) / math.pi)).sf(needed_weight(here, (), named=named))  # type: ignore[arg-type]
     assert least <= rate <= most
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.ledgers import BLOCKS, ROWS, book_of
-from scipy.stats import chi2
+from scipy.stats import chi2, expon, gumbel_r
 
 from motorlens_workbench.evidence.ledger import Ledger
 from motorlens_workbench.evidence.look import best_of
-from motorlens_workbench.evidence.null import FLIPS, LEAST, null_of
+from motorlens_workbench.evidence.null import FLIPS, Null, null_of
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 
@@ -175,16 +175,30 @@ def many(rng: np.random.Generator, size: float = 0.0) -> list[Score]:
 def test_the_largest_of_all_shapes_is_beyond_its_null_as_often_as_is_stated():
     """Pure noise, a thousand worlds through the whole search: at the 5 % point of Gumbel's distribution some 5 %."""
     rng = np.random.default_rng(4)
-    at_five, beyond, scales = -np.log(-np.log(0.95)), 0, []
+    at_five, beyond = -np.log(-np.log(0.95)), 0
     for _ in range(1000):
         scores = many(rng)
         null = null_of(scores, rng)
         assert null is not None
         beyond += null.excess(max(score.weight for score in scores)) > at_five
-        scales.append(null.scale)
     assert 0.02 < beyond / 1000 < 0.08
-    # By chance it is hardly ever narrower than what is taken for the least.
-    assert LEAST < np.quantile(scales, 0.01) < 1.1 * LEAST
+
+
+def test_no_null_is_narrower_than_that_of_a_single_test():
+    """Of one shape on noise of known scatter: minus the logarithm of a probability is exponential, of deviation one."""
+    rng, scales = np.random.default_rng(12), []
+    for _ in range(100):
+        score = score_of(
+            book_of(np.zeros((640, 0)), [rng.standard_normal((640, 1))], rng.standard_normal(640))
+        )
+        null = null_of([replace(score, scatter=1.0)], rng)
+        assert null is not None
+        scales.append(null.scale)
+    alone = expon.std() / gumbel_r.std()
+    assert np.mean(scales) == pytest.approx(alone, rel=0.1)
+    narrow, wide = Null(3.0, 0.1), Null(3.0, 2.0)
+    assert narrow.weight(10.0) == pytest.approx(3.0 + 10.0 * alone)
+    assert wide.weight(10.0) == pytest.approx(23.0)
 
 
 def test_the_null_is_the_largest_of_every_shape_under_every_flip():

@@ -50,7 +50,7 @@ def test_the_amplitude_is_that_of_the_response_of_the_resonators():
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("twisting", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.parametrize("twisting", [False, True])
 def test_a_flywheel_on_a_spring_shows_as_a_torque_with_a_memory(twisting):
     """Half of the inertia behind a soft shaft that resonates at 40 Hz; on a stiff shaft nothing of the kind is found."""
     file, recording = with_flywheel(twisting)

@@ -33,7 +33,7 @@ class Criteria:
 
     Attributes:
         excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode, none narrower
-            than in pure noise; without one they count as twice as wide.
+            than a single test's; without one they count as twice as wide.
         colour: share of the likelihood that colour left in the noise wins, by which a name must raise it. Where the noise is
             not what the model of it says, as much has other reasons.
         unnamed_colour: the same of a term without a name.

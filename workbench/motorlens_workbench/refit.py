@@ -10,7 +10,7 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import by_least_squares, near, one_step_ahead, whole
 from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
-from motorlens_physics.estimate.prior import Prior, before, part_prior, start_prior
+from motorlens_physics.estimate.prior import Prior, at_prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed, minimised, needed, shown_at, weighed
 from motorlens_physics.estimate.weighed import begun as first_noise_of
@@ -145,7 +145,7 @@ def ahead(fitted: Fitted, other: Weighed) -> float:
 def _beginning(fitted: Fitted) -> tuple[Model, list[Run]]:
     """The model as its motor file has it, but for effects and sensors' faults, and the runs as they were recorded."""
     runs = [run.as_recorded for run in fitted.runs]
-    return start_model(before(fitted.model.file, fitted.prior), runs), runs
+    return start_model(at_prior(fitted.model.file, fitted.prior), runs), runs
 
 
 def begun(fitted: Fitted, score: Score, sizes: Array | None = None) -> Fitted:

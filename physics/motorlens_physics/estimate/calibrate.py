@@ -15,8 +15,8 @@ from motorlens_physics.estimate.prior import (
     CALIBRATED,
     Prior,
     around,
+    at_prior,
     base_prior,
-    before,
     calibrated_on,
     held_to,
 )
@@ -185,7 +185,7 @@ def calibrate(
     if not any(run.moves for run in runs):
         raise DataError(f"{names}: nothing can be told; no current, speed or temperature ever changes")
     prior = chosen(file, base_prior(file, runs), keys)
-    begin = start_model(before(file, prior), runs)
+    begin = start_model(at_prior(file, prior), runs)
     if fit_load:
         for r in range(len(runs)):
             prior = prior.joined(around(f"load@{r}", 0.0, file.rated.torque_Nm))

@@ -21,7 +21,7 @@ from motorlens_physics.estimate.hum import hum_of_channels
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise_likelihood import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
-from motorlens_physics.estimate.prior import Prior, base_prior, before
+from motorlens_physics.estimate.prior import Prior, at_prior, base_prior
 from motorlens_physics.estimate.report import Findings, findings
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.shaft import followed
@@ -102,7 +102,7 @@ def estimate(
         ModelError: the motor cannot be simulated where it starts.
     """
     prior = base_prior(file, runs) if prior is None else prior
-    model = start_model(before(file, prior), runs) if begin is None else begin
+    model = start_model(at_prior(file, prior), runs) if begin is None else begin
     if held is not None:
         model = replace(model, held=((held, held, held),) * len(runs))
 

@@ -170,11 +170,11 @@ def held_to(file: MotorFile, key: str, recordings: Set[str] = frozenset()) -> St
     return Stated(value, max(abs(value), meaning.sd(file.rated)), TAKEN)
 
 
-def before(file: MotorFile, prior: Prior) -> MotorFile:
-    """The motor file with the textbook's parameters where they were before the recordings told of them.
+def at_prior(file: MotorFile, prior: Prior) -> MotorFile:
+    """The motor file with the textbook's parameters at the centre of their prior: where an estimate begins.
 
-    What was learnt from recordings would begin their next fit elsewhere than the first, and several minima are left where
-    one begins. Effects and sensors' faults, which may be of any size, are where they are.
+    Begun where an earlier fit to the same recordings ended, it may end in another minimum than that fit did. Effects and
+    sensors' faults, whose prior is of any size, stay where they are.
     """
     return file.with_values({key: prior.centre[key] for key in prior.keys if key in RELATIVE_SD})
 

@@ -6,6 +6,7 @@ cluster bootstrap: Cameron, Gelbach and Miller 2008, doi:10.1162/rest.90.3.414; 
 ISBN 978-0-471-55761-6). The largest of many has Gumbel's distribution.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,9 +19,9 @@ from motorlens_workbench.evidence.score import Score
 Array = NDArray[np.float64]
 
 FLIPS = 300
-# The narrowest that the null is in pure noise (`pytest tests/workbench/test_ledger.py -k as_often_as_is_stated`). Where few
-# blocks of time carry what a recording tells, none of their flips is far from the others, and it seems narrower than that.
-LEAST = 0.7
+# The width of the null of a single test: -log of a probability has a standard deviation of one. Where few blocks of time
+# carry what a recording tells, none of their flips is far from the others, and the null seems narrower than that.
+LEAST = math.sqrt(6) / math.pi
 EULER = 0.5772156649
 
 
@@ -59,5 +60,5 @@ def null_of(scores: Sequence[Score], rng: np.random.Generator) -> Null | None:
     best = np.max(
         [-np.log(chdtrc(width, np.minimum(most, 1300.0))) for width, most in largest.items()], axis=0
     )
-    scale = max(float(np.std(best)) * np.sqrt(6) / np.pi, 1e-3)
+    scale = max(float(np.std(best)) * LEAST, 1e-3)
     return Null(float(np.mean(best)) - EULER * scale, scale)
