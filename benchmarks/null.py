@@ -31,7 +31,7 @@ from helpers.hidden.score import Rate  # noqa: E402
 
 from motorlens_physics.motor_file import read_motor_file  # noqa: E402
 from motorlens_physics.recording import read_recording  # noqa: E402
-from motorlens_workbench.contest.needed import needed_weight  # noqa: E402
+from motorlens_workbench.contest.needed import needed_without_a_name  # noqa: E402
 from motorlens_workbench.diagnose import diagnose  # noqa: E402
 from motorlens_workbench.verdict import settle  # noqa: E402
 
@@ -72,7 +72,7 @@ def largest(case: Case) -> dict[str, Any]:
             "name": one.name,
             "excess": round(float(here.null.excess(one.weight)), 2),
             "share": round(float(2 * one.weight / one.colour), 5) if one.colour > 0 else None,
-            "needed": round(float(one.weight / needed_weight(here, (), one.colour, named=False)), 4),
+            "needed": round(float(one.weight / needed_without_a_name(here, (), one.colour)), 4),
         }
         for one in here.challengers
         if here.null is not None and not one.named

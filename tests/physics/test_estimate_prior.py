@@ -5,14 +5,15 @@ import pytest
 from helpers.hidden import plant
 from scipy.stats import gamma, norm
 
+from motorlens_physics.effects.stribeck_friction import StribeckFriction
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.prepare import prepare_all
-from motorlens_physics.estimate.prior import Prior
+from motorlens_physics.estimate.prior import TAKEN, Prior
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import Knowledge, MotorFile, voltage_commanded
+from motorlens_physics.motor_file import Knowledge, MotorFile, Stated, voltage_commanded
 from motorlens_physics.parameter import Rated
 from motorlens_physics.recording import Recording
 
@@ -95,3 +96,24 @@ def test_what_has_gone_far_is_not_put_back_though_hardly_better_known(deviations
     said = findings(Fit(Model(file, (), ()), prior, np.array([[(0.97 * sd) ** 2]]), ()))
     assert ("b" in said.told) == told and ("b" in said.far) == told
     assert said.value["b"] == pytest.approx(centre + told * deviations * sd)
+
+
+@pytest.mark.parametrize(
+    ("known", "far"),
+    [
+        (Knowledge(), False),
+        (Knowledge(2.0, "fitted to a.csv", prior=Stated(5.0, 5.0, TAKEN)), False),
+        (Knowledge(5.0, "measured by hand"), True),
+        (Knowledge(2.0, "fitted to a.csv", prior=Stated(5.0, 5.0, "measured by hand")), True),
+    ],
+)
+def test_nothing_is_far_from_a_file_that_says_nothing_of_it(known: Knowledge, far: bool) -> None:
+    """Of the shape of an effect something is taken where nothing is stated: no sentence says that a file is wrong there."""
+    key = "stribeck_friction.w_k"
+    plate = Rated(voltage_V=24.0, current_A=2.0, speed_rad_s=200.0, torque_Nm=0.1)
+    motor = Motor(effects=(StribeckFriction(tau_s=0.01, w_k=50.0),))
+    file = MotorFile("plate", motor, plate, knowledge={key: known})
+    prior = Prior({key: 5.0}, {key: 5.0}, {key: (0.01, 500.0)})
+    said = findings(Fit(Model(file, (), ()), prior, np.array([[0.1**2]]), ()))
+    assert (key in said.far) == far
+    assert said.told == (key,) and said.value[key] == 50.0

@@ -21,7 +21,7 @@ from motorlens_workbench.contest import contest as contest_module
 from motorlens_workbench.contest import worth
 from motorlens_workbench.contest.bayes_factor import log_bayes_factor, log_shape
 from motorlens_workbench.contest.entering import Step
-from motorlens_workbench.contest.needed import needed_weight
+from motorlens_workbench.contest.needed import needed_weight, needed_without_a_name
 from motorlens_workbench.contest.worth import consistent, held_score, told_apart
 from motorlens_workbench.diagnose import fitted_of
 from motorlens_workbench.evidence.null import Null
@@ -109,9 +109,10 @@ def test_what_is_correlated_as_no_noise_is_estimated_anew_with_names_before_it_i
     [(0.8, True, 1e-5, 1e-4), (0.8, False, 1e-9, 1e-8), (0.3, True, 1e-5, 1e-4), (0.3, False, 1e-5, 1e-4)],
 )
 def test_what_is_needed_is_rarer_by_chance_without_a_name_than_with_one(scale, named, least, most):
-    """Gumbel's distribution by another's code, no narrower than in pure noise."""
-    here = SimpleNamespace(null=Null(6.0, scale), book=SimpleNamespace(colour=0.0))
-    rate = gumbel_r(6.0, max(scale, math.sqrt(6) / math.pi)).sf(needed_weight(here, (), named=named))  # type: ignore[arg-type]
+    """Gumbel's distribution by another's code, no narrower than that of a single test."""
+    here = SimpleNamespace(null=Null(6.0, scale))
+    needed = needed_weight(here) if named else needed_without_a_name(here, (), colour=0.0)  # type: ignore[arg-type]
+    rate = gumbel_r(6.0, max(scale, math.sqrt(6) / math.pi)).sf(needed)
     assert least <= rate <= most
 
 

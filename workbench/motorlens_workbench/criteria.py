@@ -34,9 +34,8 @@ class Criteria:
     Attributes:
         excess: widths of the null's distribution by which a hypothesis with a name must lie beyond its mode, none narrower
             than a single test's; without one they count as twice as wide.
-        colour: share of the likelihood that colour left in the noise wins, by which a name must raise it. Where the noise is
-            not what the model of it says, as much has other reasons.
-        unnamed_colour: the same of a term without a name.
+        colour: share of the likelihood that colour left in the noise wins, by which a term without a name must raise it.
+            Where the noise is not what the model of it says, as much has other reasons.
         doubt: relative uncertainty of the correction for noise of the inputs: that of a variance estimated from some
             hundred independent samples.
         alike: share of what a name explains by which another may explain less and still stand in its place.
@@ -56,8 +55,7 @@ class Criteria:
     """
 
     excess: float = 10.0
-    colour: float = 0.0005
-    unnamed_colour: float = 0.25
+    colour: float = 0.25
     doubt: float = 0.2
     alike: float = 0.003
     instead: float = 0.1

@@ -183,7 +183,7 @@ def _beside_the_others(then: Standing, score: Score, lacking: Standing | None) -
         lacking = stand(settled(without), then.own)
     told, seen = worth(lacking, score, then.fitted), own_score(then.book, then.fitted, score.entry.hypothesis)
     judged = told.score.weight if told.score else 0.0, told.needed
-    wald = seen.weight if seen else 0.0, needed_weight(lacking, ())
+    wald = seen.weight if seen else 0.0, needed_weight(lacking)
     return max(judged, wald, key=lambda known: known[0] - known[1])
 
 

@@ -253,7 +253,7 @@ def _holds(found: Finding, one: Accepted) -> bool:
 def detectable(found: Finding, score: Score) -> float:
     """The smallest size that would have been seen, in units of its columns."""
     last = found.outcome.last
-    return score.detectable(needed_weight(last, found.outcome.accepted)) if last.null else float("inf")
+    return score.detectable(needed_weight(last)) if last.null else float("inf")
 
 
 def _told_alone(found: Finding, one: Accepted) -> bool:

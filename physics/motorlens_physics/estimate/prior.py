@@ -170,6 +170,13 @@ def held_to(file: MotorFile, key: str, recordings: Set[str] = frozenset()) -> St
     return Stated(value, max(abs(value), meaning.sd(file.rated)), TAKEN)
 
 
+def states(file: MotorFile, key: str) -> bool:
+    """Whether a motor file says what a parameter is: always of the motor's own, of others where it has a standard deviation."""
+    known = file.knowledge.get(key, Knowledge())
+    source = known.source if known.prior is None else known.prior.source
+    return key in RELATIVE_SD or (known.sd is not None and source != TAKEN)
+
+
 def at_prior(file: MotorFile, prior: Prior) -> MotorFile:
     """The motor file with the textbook's parameters at the centre of their prior: where an estimate begins.
 

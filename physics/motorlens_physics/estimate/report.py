@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.fit import Fit, inverse
-from motorlens_physics.estimate.prior import CALIBRATED
+from motorlens_physics.estimate.prior import CALIBRATED, states
 
 Array = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def findings(fit: Fit) -> Findings:
         # What the recordings add to the prior moves its centre by as much as its variance shrinks; that of a parameter that
         # they hardly tell, and have moved all the same, by no less than makes it told.
         beyond = np.sqrt(penalty[key] / (1 - min(left, UNTOLD) ** 2))
-        if beyond >= FAR:
+        if beyond >= FAR and states(file, key):
             far[key] = (
                 f"{key}: {value[key]:.4g}{unit} is {beyond:.0f} standard deviations from the motor file's "
                 f"{centre:.4g} +- {width:.2g}{unit}; one of the two is wrong"

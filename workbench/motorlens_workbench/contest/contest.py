@@ -177,9 +177,7 @@ def _needed(
         # At its null it does nothing, whatever a size on the side where it cannot be would explain.
         nothing = here.fitted.multiple(one.hypothesis) == 0.0
         score = None if nothing else held_score(here.book, here.plain, here.fitted, one.hypothesis)
-        if not nothing and (
-            score is None or here.null is None or score.weight >= needed_weight(here, others)
-        ):
+        if not nothing and (score is None or here.null is None or score.weight >= needed_weight(here)):
             continue
         fitted = without_hypothesis(here.fitted, one.hypothesis.name)
         if fitted is None:
@@ -188,7 +186,7 @@ def _needed(
         left = residual_of(here, without)
         rise = left.unlikely - here.residual.unlikely
         agreed = agreement(here.residual.likelier_by_block(left), without, one.hypothesis, rise)
-        if score is None or score.or_at_least(agreed).weight < needed_weight(here, others):
+        if score is None or score.or_at_least(agreed).weight < needed_weight(here):
             say(f"without {one.hypothesis.name.replace('_', ' ')}")
             # Beside one less, another may be needed, or may not.
             return _needed(stand(without, own), others, own, say)

@@ -189,7 +189,7 @@ def enter_for_delays(here: Standing, own: Sequence[type[Effect]], say: Progress)
     end, refused = anew(begun(fitted, one)), Step(judged={one.name: 0.0})
     if end is None or _early(end, one.entry.hypothesis.equation):
         return refused
-    if -log_chance(max(_won_by_both(here, end), 0.0), 1) < needed_weight(here, ()):
+    if -log_chance(max(_won_by_both(here, end), 0.0), 1) < needed_weight(here):
         return refused
     try:
         # As the likelier of both sees it: to a motor with another timing the noise of the inputs is not what it is.
@@ -229,7 +229,7 @@ def enter_unseen(here: Standing, unseen: Sequence[Score], own: Sequence[type[Eff
     Those that may win are looked at so in all their shapes, and the best are fitted. Of each name the shape is judged that
     wins most.
     """
-    step, needed = Step(refused=tuple(dict.fromkeys(one.name for one in unseen))), needed_weight(here, ())
+    step, needed = Step(refused=tuple(dict.fromkeys(one.name for one in unseen))), needed_weight(here)
     try:
         base, beside = under(here, here.noises)
     except ModelError:

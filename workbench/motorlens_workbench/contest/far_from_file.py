@@ -51,7 +51,7 @@ def _fitted(here: Standing, far: Collection[str], say: Progress) -> list[tuple[H
     """Names that are beyond chance from here with the file at its word, the likeliest few, and the model with each."""
     beside = replace(here.book, trusted=frozenset(far)).beside()
     named = [entry for entry in here.book.entries if entry.hypothesis.named]
-    needed = needed_weight(here, ())
+    needed = needed_weight(here)
     able = [one for one in best_of(beside.scores(named)).values() if one.weight >= needed]
     tried = sorted(able, key=lambda one: -log_bayes_factor(one, one.scatter))[:REFITTED]
     if tried:
@@ -79,7 +79,7 @@ def _judged(
     # What it wins with the file at its word.
     gain = won + here.fitted.pulled - end.pulled
     weight = -log_chance(max(gain, 0.0), 1)
-    if seen is None or weight < needed_weight(here, ()) or than_file <= 0:
+    if seen is None or weight < needed_weight(here) or than_file <= 0:
         return None
     scatter = seen.scatter + own_doubt(there, seen, hypothesis)
     if min(seen.gain, _squared_size(hypothesis, end)) <= INTERVAL**2 * scatter:

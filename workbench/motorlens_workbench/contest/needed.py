@@ -9,35 +9,35 @@ from motorlens_workbench.fitted import Accepted, Challenger
 from motorlens_workbench.standing import Standing
 
 
-def needed_weight(
-    here: Standing, accepted: Sequence[Accepted], colour: float | None = None, *, named: bool = True
-) -> float:
-    """The weight that is beyond chance, and beyond what an imperfect model may leave.
+def needed_weight(here: Standing) -> float:
+    """The weight of a name that is beyond chance."""
+    assert here.null is not None
+    return max(here.null.weight(CRITERIA.excess), 0.0)
+
+
+def needed_without_a_name(here: Standing, accepted: Sequence[Accepted], colour: float) -> float:
+    """The weight of a free term that is beyond chance, and beyond what an imperfect model may leave.
 
     Args:
         here: where the contest stands.
-        accepted: what has entered.
-        colour: that is left in the noise beside the hypothesis; None is what the model leaves.
-        named: whether the hypothesis has a name. A free term must besides explain a share of what any name has.
+        accepted: what has entered: a free term must explain a share of what any of these has.
+        colour: that is left in the noise beside the term, see `Ledger.colour`.
     """
     assert here.null is not None
-    colour = here.book.colour if colour is None else colour
-    if named:
-        return max(here.null.weight(CRITERIA.excess), 0.5 * CRITERIA.colour * colour, 0.0)
     shares = (0.5 * CRITERIA.instead * one.gain for one in accepted)
-    return max(
-        here.null.weight(CRITERIA.excess, wide=2.0), 0.5 * CRITERIA.unnamed_colour * colour, *shares, 0.0
-    )
+    return max(here.null.weight(CRITERIA.excess, wide=2.0), 0.5 * CRITERIA.colour * colour, *shares, 0.0)
 
 
 def beyond_chance(here: Standing, accepted: Sequence[Accepted], refused: Sequence[str]) -> list[Challenger]:
     """The challengers that are, the heaviest first."""
     if here.null is None:
         return []
+    of_names = needed_weight(here)
     return [
         one
         for one in here.challengers
-        if one.name not in refused and one.weight > needed_weight(here, accepted, one.colour, named=one.named)
+        if one.name not in refused
+        and one.weight > (of_names if one.named else needed_without_a_name(here, accepted, one.colour))
     ]
 
 
@@ -50,7 +50,7 @@ def promising(here: Standing, refused: Sequence[str]) -> list[Challenger]:
     if here.null is None:
         return []
     named = [one for one in here.challengers if one.named and one.name not in refused]
-    able = [one for one in named if one.score.undivided > needed_weight(here, (), one.colour)]
+    able = [one for one in named if one.score.undivided > needed_weight(here)]
     return sorted(able, key=lambda one: -posterior(one, one.gain, 1.0))
 
 

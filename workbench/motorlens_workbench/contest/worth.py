@@ -173,7 +173,7 @@ def worth(
     """
     book, plain = summed(end)
     score = held_score(book, plain, end, one.entry.hypothesis)
-    needed = needed_weight(known or here, (), book.colour)
+    needed = needed_weight(known or here)
     with_it = residual_of(frame or here, end)
     without = here.residual if frame is None else residual_of(frame, here.fitted)
     unlikely = with_it.unlikely

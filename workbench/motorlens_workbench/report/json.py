@@ -107,7 +107,7 @@ def course(verdict: Verdict) -> tuple[Any, Array, Array, Array]:
 
 def _needed(found: Finding) -> float | None:
     last = found.outcome.last
-    return float(needed_weight(last, found.outcome.accepted)) if last.null else None
+    return float(needed_weight(last)) if last.null else None
 
 
 def errors(found: Finding) -> dict[str, Any]:
