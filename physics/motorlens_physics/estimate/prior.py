@@ -171,7 +171,7 @@ def held_to(file: MotorFile, key: str, recordings: Set[str] = frozenset()) -> St
 
 
 def states(file: MotorFile, key: str) -> bool:
-    """Whether a motor file says what a parameter is: always of the motor's own, of others where it has a standard deviation."""
+    """Whether a motor file says what a parameter is: always of the motor's own, of others with a standard deviation."""
     known = file.knowledge.get(key, Knowledge())
     source = known.source if known.prior is None else known.prior.source
     return key in RELATIVE_SD or (known.sd is not None and source != TAKEN)
