@@ -34,24 +34,29 @@ def add_input_arguments(parser: argparse.ArgumentParser, motor_required: bool = 
         help="what motorlens fleet says of motors of this make: a prior for what the motor file knows less of",
     )  # fmt: skip
     parser.add_argument(
-        "--column", action="append", default=[], metavar="QUANTITY=NAME",
-        help="which column holds what, or a formula over columns: 'voltage=duty_pct*vbat_V/100', "
-        "'time=row*0.001[s]'; none for nothing: temperature=none; repeatable",
-    )  # fmt: skip
-    parser.add_argument(
         "--voltage-commanded", action="store_true",
         help="the voltage is what was commanded (duty times supply): no sensor, so no error of one is looked for",
     )  # fmt: skip
-    add_condition_arguments(parser)
-    parser.add_argument(
-        "--no-value", action="append", metavar="NUMBER",
-        help="a number that stands for a missing value, as in --no-value=-9999; 'none' looks for none (default: found)",
-    )  # fmt: skip
+    add_reading_arguments(parser)
     parser.add_argument(
         "--range", action="append", default=[], metavar="[REC=]FROM:TO",
         help="use only this part, in seconds since the first sample; of that recording, or of all: --range 2:8.5",
     )  # fmt: skip
     parser.add_argument("--effects-from", metavar="FILE.py", help="a file of your own with further effects")
+
+
+def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+    """Give a command what a recording's columns mean, and how it was made."""
+    parser.add_argument(
+        "--column", action="append", default=[], metavar="QUANTITY=NAME",
+        help="which column holds what, or a formula over columns: 'voltage=duty_pct*vbat_V/100', "
+        "'time=row*0.001[s]'; none for nothing: temperature=none; repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-value", action="append", metavar="NUMBER",
+        help="a number that stands for a missing value, as in --no-value=-9999; 'none' looks for none (default: found)",
+    )  # fmt: skip
+    add_condition_arguments(parser)
 
 
 def add_condition_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,19 +126,25 @@ def inputs_from(arguments: argparse.Namespace, file: "MotorFile | None" = None) 
 
 def input_words(arguments: argparse.Namespace) -> list[str]:
     """The flags as they were typed, for the line that repeats a command."""
-    return ["--motor", arguments.motor, *reading_words(arguments)]
+    return ["--motor", arguments.motor, *option_words(arguments)]
+
+
+def option_words(arguments: argparse.Namespace) -> list[str]:
+    """All of them but the motor file."""
+    words = ["--make", arguments.make] if arguments.make else []
+    words += ["--voltage-commanded"] if arguments.voltage_commanded else []
+    words += reading_words(arguments)
+    words += [word for span in arguments.range for word in ("--range", span)]
+    return words + (["--effects-from", arguments.effects_from] if arguments.effects_from else [])
 
 
 def reading_words(arguments: argparse.Namespace) -> list[str]:
-    """All of them but the motor file: how it and the recordings were read."""
-    words = ["--make", arguments.make] if arguments.make else []
-    words += [word for column in arguments.column for word in ("--column", column)]
-    words += ["--voltage-commanded"] if arguments.voltage_commanded else []
+    """The flags of `add_reading_arguments`."""
+    words = [word for column in arguments.column for word in ("--column", column)]
     words += [f"--no-value={number}" for number in arguments.no_value or ()]
     for flag in ("terminal", "shaft"):
         words += [f"--{flag}", getattr(arguments, flag)] if getattr(arguments, flag) else []
-    words += [word for span in arguments.range for word in ("--range", span)]
-    return words + (["--effects-from", arguments.effects_from] if arguments.effects_from else [])
+    return words
 
 
 def print_notes(recordings: "Sequence[Recording]") -> None:

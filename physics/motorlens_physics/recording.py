@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.conditions import Shaft, Terminal, code, codes
-from motorlens_physics.reading import read_table
+from motorlens_physics.reading import Table, read_table
 from motorlens_physics.reading.clock import steady
 from motorlens_physics.reading.suspicion import computed_from, gaps_and_channels, lost_samples, no_value
 from motorlens_physics.simulation import Inputs
@@ -29,6 +29,7 @@ from motorlens_runtime.files.columns import (
     speed_of,
     understand,
     units_offered,
+    without_headings,
 )
 from motorlens_runtime.files.formula import ROW
 from motorlens_runtime.files.guesses import refuse_counts
@@ -139,7 +140,14 @@ def read_recording(
     columns = understand(table.headings, chosen, str(path))
     how = None if terminal is None else code(Terminal, terminal, "--terminal")
     tied = "terminal" in columns if how is None else how != Terminal.DRIVEN
-    require(columns, ("time",) if tied else ("time", "voltage"), table.headings, str(path))
+    needed = ("time",) if tied else ("time", "voltage")
+    require(
+        columns,
+        needed,
+        table.headings,
+        str(path),
+        _rising(table) if without_headings(table.headings) else None,
+    )
     used = sorted({index for column in columns.values() for index in column.uses} - {ROW})
     numbers = dict(table.numbers(used))
     numbers[ROW] = np.arange(max(map(len, numbers.values()), default=0), dtype=np.float64)
@@ -244,6 +252,19 @@ def _other_unit(quantity: str, heading: str) -> str:
     """The unit that is taken, and how to say another."""
     taken, another = units_offered(quantity)[:2]
     return f"{taken}; were it {another}: --column {shlex.quote(f'{quantity}_{another}={heading}')}"
+
+
+def _rising(table: Table) -> list[str]:
+    """Headings of the columns that rise from row to row, as a time does."""
+    found = []
+    for index, heading in enumerate(table.headings):
+        try:
+            values = table.numbers([index])[index]
+        except DataError:
+            continue
+        if len(values) > 1 and np.all(np.diff(values) > 0):
+            found.append(heading)
+    return found
 
 
 def _about_columns(headings: Sequence[str], columns: Mapping[str, Column]) -> list[str]:
@@ -418,12 +439,13 @@ class _Reader:
                 raise DataError(
                     f"{self.path}: row {row}, column {heading!r}: empty; write one of {known} in each row"
                 )
+            lost = f"{count} missing value{'s' if count > 1 else ''}"
             if quantity not in INPUTS:
                 table[quantity] = np.where(missing, np.nan, y)
-                self.notes.append(f"{count} missing values of {quantity} left out (first: row {row})")
+                self.notes.append(f"{lost} of {quantity} left out (first: row {row})")
             elif count <= REPAIRABLE_SHARE * len(y):
                 table[quantity] = np.interp(time, time[~missing], y[~missing])
-                self.notes.append(f"{count} missing values of {quantity} interpolated (first: row {row})")
+                self.notes.append(f"{lost} of {quantity} interpolated (first: row {row})")
             else:
                 lacking |= missing
                 if count > len(y) / 2:

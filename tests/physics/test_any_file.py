@@ -3,7 +3,9 @@
 import contextlib
 import gc
 import gzip
+import itertools
 import shlex
+import struct
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -123,6 +125,28 @@ def test_columns_that_are_told_apart_by_their_numbers_alone(tmp_path):
     np.testing.assert_allclose(twice.channels["current"], 2 * CURRENT, rtol=1e-6, atol=1e-9)
     with pytest.raises(DataError, match="no column '#4'"):
         read(tmp_path, scope, ["time=#1", "voltage=#4"])
+
+
+@pytest.mark.parametrize(
+    ("columns", "suggested"),
+    [
+        ((TIME, VOLTAGE, CURRENT), ["time=#1", "voltage=#2", "current=#3"]),
+        ((VOLTAGE, CURRENT, TIME), ["time=#3", "voltage=#1", "current=#2"]),
+        ((VOLTAGE, CURRENT), ["time=row*0.001[s]", "voltage=#1", "current=#2"]),
+    ],
+)
+def test_without_headings_the_time_is_a_column_that_rises_or_the_rows_are_counted(
+    tmp_path, columns, suggested
+):
+    """What is suggested, taken at its word, reads the recording."""
+    with pytest.raises(DataError, match="no heading line") as refused:
+        read(tmp_path, text(columns, names=()))
+    words = shlex.split(str(refused.value).partition("for example: ")[2])
+    mapping = [word for option, word in itertools.pairwise(words) if option == "--column"]
+    assert mapping == suggested
+    recording = read(tmp_path, text(columns, names=()), mapping)
+    assert np.all(np.diff(recording.time_s) > 0)
+    np.testing.assert_allclose(recording.channels["voltage"], VOLTAGE, rtol=1e-6)
 
 
 def test_a_first_row_with_a_word_in_it_is_no_heading(tmp_path):
@@ -478,6 +502,37 @@ def test_matlab_files_are_read_by_channel(tmp_path):
     for log in (np.array([TIME, VOLTAGE, CURRENT]), np.array([TIME, VOLTAGE, CURRENT]).T):
         io.savemat(tmp_path / "log.mat", {"log": log})
         np.testing.assert_allclose(read_recording(tmp_path / "log.mat", given).channels["current"], CURRENT)
+
+
+def matlab_object(name: bytes, kind: bytes) -> bytes:
+    """An object as MATLAB writes it: an opaque array of its class, whose content only MATLAB knows."""
+
+    def element(code: int, data: bytes) -> bytes:
+        return struct.pack("<II", code, len(data)) + data + bytes(-len(data) % 8)
+
+    content = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 1, 1)) + element(1, b"")
+    words = b"".join(element(1, word) for word in (name, b"MCOS", kind))
+    hidden = element(14, content + element(6, struct.pack("<I", 0xDD000000)))
+    return element(14, element(6, struct.pack("<II", 17, 0)) + words + hidden)
+
+
+def test_an_object_of_matlab_is_named_with_what_to_do(tmp_path):
+    """A timetable, or a log of Simulink, alone and beside vectors."""
+    io = pytest.importorskip("scipy.io")
+    for name, vectors in (
+        ("alone", {}),
+        ("beside", {"time_s": TIME, "voltage_V": VOLTAGE, "current_A": CURRENT}),
+    ):
+        io.savemat(tmp_path / f"{name}.mat", vectors)
+        with (tmp_path / f"{name}.mat").open("ab") as file:
+            file.write(matlab_object(b"log", b"timetable") + matlab_object(b"speeds", b"timeseries"))
+    with pytest.raises(
+        DataError, match="holds the timeseries 'speeds', which only MATLAB reads; save its vectors"
+    ):
+        read_recording(tmp_path / "alone.mat")
+    recording = read_recording(tmp_path / "beside.mat")
+    np.testing.assert_array_equal(recording.channels["voltage"], VOLTAGE)
+    assert "not used, which only MATLAB reads: the timeseries 'speeds'" in recording.notes
 
 
 @pytest.mark.fit

@@ -19,8 +19,8 @@ def parsed(*words: str) -> argparse.Namespace:
 
 
 def test_the_words_repeat_the_command():
-    words = ["--motor", "mellah2016", "--column", "voltage=u_V*2", "--column", "speed=w", "--voltage-commanded",
-             "--no-value=-9999", "--no-value=-1"]  # fmt: skip
+    words = ["--motor", "mellah2016", "--voltage-commanded", "--column", "voltage=u_V*2", "--column", "speed=w",
+             "--no-value=-9999", "--no-value=-1", "--terminal", "open", "--range", "1:2"]  # fmt: skip
     arguments = parsed(*words)
     assert input_words(arguments) == words
     assert input_words(parsed(*input_words(arguments))) == words

@@ -37,6 +37,23 @@ def test_what_is_in_a_recording(tmp_path, capsys):
     assert 'data-name="I mot"' in text and re.search(r'"kind": "time"', text)
 
 
+def test_it_is_read_as_other_commands_read_it(tmp_path, capsys):
+    """A motor that a current drives has no voltage; a number stands for what was not measured."""
+    write(
+        tmp_path / "r.csv",
+        ["time_s", "current_A", "speed_rad_s"],
+        [(k / 100, k / 50, -7 if k == 30 else k) for k in range(100)],
+    )
+    recording = str(tmp_path / "r.csv")
+    assert main(["look", recording]) == 1
+    assert "no voltage column" in capsys.readouterr().err
+    page = tmp_path / "r.html"
+    assert main(["look", recording, "--terminal", "current", "--no-value=-7", "--html", str(page)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^terminal +current$", said, flags=re.MULTILINE) and "1 missing value of speed" in said
+    assert "--no-value=-7 --terminal current" in page.read_text()
+
+
 def test_what_cannot_be_used_shows_its_columns_all_the_same(tmp_path, capsys):
     write(tmp_path / "r.csv", ["t", "<b>U</b>"], [(k / 100, k) for k in range(50)])
     page = tmp_path / "r.html"

@@ -1,13 +1,17 @@
 """Recordings as MATLAB files up to version 7: every numeric vector, also within structures, is a column by its name."""
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from motorlens_physics.reading import Array, Table
 from motorlens_runtime.errors import DataError
+
+if TYPE_CHECKING:
+    from scipy.io.matlab import MatlabOpaque
 
 SUFFIXES = (".mat",)
 EXTRA = "workbench"
@@ -16,9 +20,13 @@ EXTRA = "workbench"
 def read(path: Path) -> Table:
     """Read a MAT file: the vectors of the most common length; `run.v` is called `v` where that is unique."""
     import scipy.io
+    from scipy.io.matlab import MatlabOpaque
 
     try:
-        content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=False)
+        with warnings.catch_warnings():
+            # Objects have no name where scipy looks for one, and several of them the same.
+            warnings.simplefilter("ignore", scipy.io.matlab.MatReadWarning)
+            content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path}: a MATLAB file of version 7.3; save it with save(..., '-v7')") from None
     except OSError as error:
@@ -28,6 +36,12 @@ def read(path: Path) -> Table:
     vectors = dict(
         _vectors({name: value for name, value in content.items() if not name.startswith("__")}, "")
     )
+    objects = [_described(value) for value in content.values() if isinstance(value, MatlabOpaque)]
+    if not vectors and objects:
+        raise DataError(
+            f"{path}: holds {' and '.join(objects)}, which only MATLAB reads; save its vectors there: "
+            "save('run.mat', 'time_s', 'voltage_V', 'current_A', '-v7')"
+        )
     if not vectors:
         raise DataError(f"{path}: holds no vector of numbers")
     lengths = [len(vector) for vector in vectors.values()]
@@ -44,7 +58,14 @@ def read(path: Path) -> Table:
         return {k: values[k] for k in used}
 
     notes = [f"not used, of another length than {usual}: {', '.join(other)}"] if other else []
+    notes += [f"not used, which only MATLAB reads: {', '.join(objects)}"] if objects else []
     return Table(headings, numbers, 1, notes)
+
+
+def _described(thing: "MatlabOpaque") -> str:
+    """An object of a class of MATLAB's own, such as a timetable: its class and its name."""
+    name, _, kind, _ = thing.reshape(-1)[0]
+    return f"the {kind.decode()} {name.decode()!r}"
 
 
 def _vectors(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Array]]:

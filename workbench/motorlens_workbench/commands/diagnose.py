@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
-    from motorlens_physics.command_inputs import inputs_from, print_notes, reading_words
+    from motorlens_physics.command_inputs import inputs_from, option_words, print_notes
     from motorlens_workbench.diagnose import diagnose
     from motorlens_workbench.driven import driven
     from motorlens_workbench.experiments import propose
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     if any(len(group) > 1 for group in verdict.groups):
         say("looking for the test that tells the group apart")
     experiment = propose(found, verdict, np.random.default_rng(0))
-    options = [*reading_words(arguments), *(["--driven"] if arguments.driven else [])]
+    options = [*option_words(arguments), *(["--driven"] if arguments.driven else [])]
     document = to_json(found, verdict, experiment, arguments.recordings, arguments.motor, options)
     write_json(document, arguments.json)
     if arguments.html:

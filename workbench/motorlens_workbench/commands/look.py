@@ -10,29 +10,34 @@ used so; its columns are shown all the same.
 import argparse
 import shlex
 
+from motorlens_physics.command_inputs import add_reading_arguments
 from motorlens_runtime.cli import add_json_argument, write_json
 from motorlens_workbench.telling import add_page_arguments
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="REC", help="recording")
-    parser.add_argument(
-        "--column", action="append", default=[], metavar="QUANTITY=NAME", help="which column holds what"
-    )
+    add_reading_arguments(parser)
     add_page_arguments(parser)
     add_json_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from motorlens_physics.command_inputs import no_values, reading_words
     from motorlens_runtime.errors import DataError
     from motorlens_workbench.report.page import write
     from motorlens_workbench.report.recording import look, to_html, to_json, to_text
 
-    sight = look(arguments.recording, arguments.column)
+    sight = look(
+        arguments.recording,
+        arguments.column,
+        no_values(arguments.no_value),
+        arguments.terminal,
+        arguments.shaft,
+    )
     write_json(to_json(sight), arguments.json)
     if arguments.html:
-        words = ["motorlens", "look", arguments.recording]
-        words += [word for column in arguments.column for word in ("--column", column)]
+        words = ["motorlens", "look", arguments.recording, *reading_words(arguments)]
         write(to_html(sight, shlex.join(words)), arguments.html, every_sample=arguments.every_sample)
     if arguments.json != "-":
         print(to_text(sight))

@@ -9,11 +9,12 @@ import numpy as np
 
 from motorlens_physics.reading import Table as File
 from motorlens_physics.reading import read_table
-from motorlens_physics.recording import Recording, read_recording
+from motorlens_physics.recording import Recording, read_recording, under
 from motorlens_runtime.errors import DataError
 from motorlens_runtime.files.columns import understand, units_offered
 from motorlens_runtime.files.formula import ROW, index_of
 from motorlens_runtime.files.headings import QUANTITIES
+from motorlens_runtime.files.words import WORDS
 from motorlens_workbench.report.page import Page, Section, significant, unit_text
 from motorlens_workbench.report.pictures import Axes, Line, Plot, Table, time_plots
 
@@ -54,12 +55,21 @@ class Sight:
     error: str
 
 
-def look(path: str, columns: Sequence[str]) -> Sight:
+def look(
+    path: str,
+    columns: Sequence[str],
+    no_values: Sequence[float] | None = None,
+    terminal: str | None = None,
+    shaft: str | None = None,
+) -> Sight:
     """Read a file for what is in it.
 
     Args:
         path: the file.
         columns: arguments of `--column`.
+        no_values: numbers that stand for a missing value; None looks for them.
+        terminal: what the terminals are tied to throughout.
+        shaft: what the shaft is tied to throughout.
 
     Raises:
         DataError: it is no table at all.
@@ -69,7 +79,7 @@ def look(path: str, columns: Sequence[str]) -> Sight:
     headings = _headings(read_table(Path(path)), columns)
     recording, error = None, ""
     try:
-        recording = read_recording(path, columns)
+        recording = under(read_recording(path, columns, no_values, terminal), shaft=shaft)
     except DataError as found:
         error = str(found)
     return Sight(path, headings, recording, error)
@@ -115,7 +125,10 @@ def to_text(sight: Sight) -> str:
     if sight.recording is not None:
         rows += ["", f"{'quantity':<14}{'smallest':>12}{'largest':>12}"]
         for quantity, (low, high) in _extremes(sight.recording).items():
-            rows.append(f"{quantity:<14}{low:>12.5g}{high:>12.5g} {_unit(quantity)}")
+            if quantity in WORDS:
+                rows.append(f"{quantity:<14}{_words(quantity, sight.recording.channels[quantity]):>12}")
+            else:
+                rows.append(f"{quantity:<14}{low:>12.5g}{high:>12.5g} {_unit(quantity)}")
         rows += ["", *sight.recording.notes] if sight.recording.notes else []
     return "\n".join(rows)
 
@@ -145,6 +158,11 @@ def _plot(recording: Recording) -> Plot:
     caption = "Drag to zoom, double-click for all of it. Time runs from the first sample."
     time = recording.time_s - recording.time_s[0]
     return time_plots(recording.name, time, axes, recording.channels, states, caption=caption)
+
+
+def _words(quantity: str, codes: np.ndarray) -> str:
+    """Which words of a quantity that is no number occur."""
+    return ", ".join(WORDS[quantity][int(code)] for code in np.unique(codes[np.isfinite(codes)]))
 
 
 def _unit(quantity: str) -> str:
