@@ -94,7 +94,7 @@ def test_ten_parameters_are_recovered_within_their_deviations(
 
 def test_channels_weigh_themselves(fleet: list[tuple[Calibration, MotorFile]]) -> None:
     for found, _ in fleet:
-        for sizes in found.residual_sd:
+        for sizes in found.residual_rms:
             assert sizes == pytest.approx(NOISE, rel=0.08)
         for residuals in found.residuals:
             assert np.std(residuals["speed"]) == pytest.approx(0.5, rel=0.08)

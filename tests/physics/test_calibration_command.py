@@ -1,11 +1,14 @@
 """`motorlens calibrate` from datasheet to calibrated motor file."""
 
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motorlens_physics.motor_file import read_motor_file
+from motorlens_physics.recording import read_recording
 from motorlens_runtime.cli import main
 
 pytestmark = pytest.mark.fit
@@ -37,8 +40,30 @@ def test_from_a_datasheet_to_a_calibrated_motor(tmp_path: Path, capsys: pytest.C
         assert found["identified"]
         assert read_motor_file(new).values()[key] == found["value"]
         assert key in printed
-    assert document["residual_sd"][0]["speed"] == pytest.approx(0.5, rel=0.3)
+    assert document["residual_rms"][0]["speed"] == pytest.approx(0.5, rel=0.3)
     assert document["converged"]
+
+
+def test_a_load_that_is_not_in_the_recording_is_said_with_its_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Steps of the load, whose column is left out: as large as they were, and no such line where they were measured."""
+    bench, new = str(tmp_path / "bench.csv"), str(tmp_path / "new.toml")
+    simulate = "simulate mellah2016 --scenario load_steps --duration 4 --noise 0.2% --seed 3 -o"
+    assert main([*simulate.split(), bench]) == 0
+    load = read_recording(bench).channels["load_torque"]
+    said = []
+    for mapping in ((), ("--column", "load_torque=none")):
+        capsys.readouterr()
+        assert main(["calibrate", bench, "--motor", "mellah2016", *mapping, "-o", new]) == 0
+        said.append(capsys.readouterr().out)
+        assert re.search(r"left over, rms: current .* A \(noise .*\), speed .* rad/s", said[-1])
+    assert "nobody measured" not in said[0]
+    told = re.search(r"beside a torque that nobody measured, (.*) N\*m \((.*)% of the rated one\)", said[1])
+    assert told is not None
+    rms = float(np.sqrt(np.mean(load**2)))
+    assert 0.5 < float(told[1]) / rms < 2.0
+    assert float(told[2]) / 100 == pytest.approx(float(told[1]) / 6.455, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,9 @@ from motorlens_runtime.cli import add_json_argument, write_json
 if TYPE_CHECKING:
     from motorlens_physics.estimate.calibrate import Calibration
 
+# Of a torque that nobody measured less than this share of the rated one is not worth a line.
+SHOWN = 0.01
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", nargs="*", metavar="REC", help="recordings: CSV, Parquet, MAT, MDF")
@@ -96,6 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _lines(found: "Calibration") -> list[str]:
     from motorlens_physics.estimate.notes import notes_of
+    from motorlens_physics.estimate.run import UNIT_OF
 
     file, said = found.file, found.findings
     lines = [
@@ -106,8 +110,16 @@ def _lines(found: "Calibration") -> list[str]:
     lines += notes_of(found.runs)
     lines += [delay.sentence for delay in found.delays]
     lines += found.not_told
-    for run, sizes in zip(found.runs, found.residual_sd, strict=True):
-        lines.append(f"{run.name}: left over " + ", ".join(f"{c} {sd:.3g}" for c, sd in sizes.items()))
+    each = zip(found.runs, found.residual_rms, found.noise_sd, found.unmeasured_torques, strict=True)
+    for run, left, noise, torque in each:
+        sizes = ", ".join(f"{c} {left[c]:.3g} {UNIT_OF[c]} (noise {noise[c]:.3g})" for c in run.channels)
+        lines.append(f"{run.name}: left over, rms: {sizes}")
+        share = torque.sd_Nm / file.rated.torque_Nm
+        if share >= SHOWN:
+            lines.append(
+                f"{run.name}: beside a torque that nobody measured, {torque.sd_Nm:.3g} N*m ({share:.0%} of the rated one) "
+                f"for {torque.lasts_s:.3g} s at a time: a load, or what is missing from the model"
+            )
     if found.outliers:
         lines.append(f"{found.outliers} samples were left out: no noise explains them")
     if not found.converged:

@@ -1,7 +1,7 @@
 """Calibration: the parameters of a motor from recordings, as a motor file that says what is known and what is not."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.delays import Delay, delays_of
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.noise import TORQUE
 from motorlens_physics.estimate.prepare import prepare_to_fit
 from motorlens_physics.estimate.prior import (
     CALIBRATED,
@@ -29,6 +30,14 @@ from motorlens_physics.recording import Recording
 from motorlens_runtime.errors import DataError, ModelError
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class UnmeasuredTorque:
+    """A torque on the shaft that nobody measured: its standard deviation, and how long it lasts."""
+
+    sd_Nm: float
+    lasts_s: float
 
 
 @dataclass(frozen=True)
@@ -112,9 +121,27 @@ class Calibration:
         return tuple({c: e[:, k] for k, c in enumerate(run.channels)} for run, e in parts)
 
     @property
-    def residual_sd(self) -> tuple[Mapping[str, float], ...]:
-        """Of each recording, channel to the standard deviation of its residuals."""
-        return tuple({c: float(np.std(e)) for c, e in one.items()} for one in self.residuals)
+    def residual_rms(self) -> tuple[Mapping[str, float], ...]:
+        """Of each recording, channel to the root mean square of its residuals."""
+        return tuple({c: float(np.sqrt(np.mean(e**2))) for c, e in one.items()} for one in self.residuals)
+
+    @property
+    def noise_sd(self) -> tuple[Mapping[str, float], ...]:
+        """Of each recording, channel to the standard deviation of its sensor's white noise."""
+        return tuple(
+            dict(zip(run.channels, np.sqrt(run.noise.of_sensors(run)).tolist(), strict=True))
+            for run in self.runs
+            if run.noise is not None
+        )
+
+    @property
+    def unmeasured_torques(self) -> tuple[UnmeasuredTorque, ...]:
+        """Of each recording, the torque that nobody measured, beside which the motor was fitted."""
+        return tuple(
+            UnmeasuredTorque(float(np.sqrt(run.noise.disturbances[TORQUE])), float(run.noise.lasts_s[TORQUE]))
+            for run in self.runs
+            if run.noise is not None
+        )
 
     @property
     def delays(self) -> tuple[Delay, ...]:
@@ -137,7 +164,9 @@ class Calibration:
             "confounded": list(said.confounded),
             "at_bound": list(said.at_bound.values()),
             "far": list(said.far.values()),
-            "residual_sd": [dict(one) for one in self.residual_sd],
+            "residual_rms": [dict(one) for one in self.residual_rms],
+            "noise_sd": [dict(one) for one in self.noise_sd],
+            "unmeasured_torque": [asdict(one) for one in self.unmeasured_torques],
             "initial": [
                 {name[8:]: value for name, value in own.items() if name.startswith("initial.")} for own in self.own
             ],
