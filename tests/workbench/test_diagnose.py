@@ -5,6 +5,9 @@ test_hidden_effects.py.
 """
 
 import json
+import re
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +31,8 @@ from motorlens_workbench.diagnose import Finding, diagnose
 from motorlens_workbench.report.json import sentence, to_json, to_text
 from motorlens_workbench.verdict import measured, settle
 
-MOTOR = Path(__file__).resolve().parents[2] / "models/motors/mellah2016.toml"
+ROOT = Path(__file__).resolve().parents[2]
+MOTOR = ROOT / "models/motors/mellah2016.toml"
 NOISE = {"voltage": 0.5, "current": 0.05, "speed": 0.5, "temperature": 0.3, "load_torque": 0.02}
 SAMPLES = 4000
 # The same information in fewer samples: noise of ten thousand, less by the root of how many there are.
@@ -310,3 +314,19 @@ def test_beside_two_names_that_are_true_nothing_is_told_at_ten_bits(tmp_path, ca
     hidden = {effect["name"] for effect in made.truth["hidden"]}
     groups = settle(found).groups
     assert len(groups) == len(hidden) and all(hidden & set(group) for group in groups)
+
+
+@pytest.mark.long
+@pytest.mark.fit
+def test_the_picture_of_how_it_decides_is_drawn(tmp_path):
+    picture = tmp_path / "diagnosis.png"
+    done = subprocess.run(
+        [sys.executable, ROOT / "examples" / "how_it_decides.py", picture],
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    told = re.search(r"coulomb_friction has (\d+), ([\d.]+) is beyond chance", done.stdout)
+    assert told is not None and float(told[1]) > float(told[2])
+    assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size > 10_000
