@@ -8,7 +8,6 @@ import numpy as np
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.effects.hysteresis_iron_loss import HysteresisIronLoss
 from motorlens_physics.effects.stribeck_friction import StribeckFriction
-from motorlens_physics.estimate.prior import part_prior
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_workbench.hypotheses.effects import shapes
 
@@ -40,16 +39,3 @@ def test_coulomb_friction_is_looked_for_as_the_stribeck_friction_that_it_may_be_
         able = [part for (part,) in shapes(CoulombFriction, replace(file, motor=motor))]
         torques = [part.torque(None, SimpleNamespace(w=w), None) / part.tau_c for part in able]
         assert [bool(np.allclose(torque, expected, rtol=1e-3)) for torque in torques].count(True) == alike
-
-
-def test_how_sharply_stribeck_friction_has_built_up_is_left_to_the_fit() -> None:
-    """Looked for at three Stribeck speeds, each as sharp as is typical: more shapes would widen the null of every name."""
-    file = read_motor_file("mellah2016")
-    able = [part for (part,) in shapes(StribeckFriction, file)]
-    typical = StribeckFriction.typical(file.rated)
-    assert [part.w_s for part in able] == [typical.w_s] * 3
-    assert len({part.w_k for part in able}) == 3
-    assert (
-        "stribeck_friction.w_s"
-        in part_prior(replace(file, motor=file.motor.with_effect(typical)), "stribeck_friction").keys
-    )

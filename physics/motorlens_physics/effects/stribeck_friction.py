@@ -44,10 +44,11 @@ class StribeckFriction(Effect):
     w_s: float = param(
         0.5,
         "rad/s",
-        "speed at which it has built up",
+        "width of the smoothing",
         bounds=(1e-3, 50.0),
         prior=0.002,
         of="speed",
+        fixed=True,
         role="width",
     )
 

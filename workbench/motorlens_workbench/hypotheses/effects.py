@@ -107,8 +107,6 @@ def shapes(effect: type[Effect], file: MotorFile) -> Iterator[tuple[Effect, ...]
             yield tuple(replace(counted, **{phase: angle}) for angle in (0.0, np.pi / 2))
         return
     free = [p for p in effect.parameters().values() if p.null is None and not p.fixed and p.role != "share"]
-    # How sharply it builds up is left to the fit where more of its shape is unknown.
-    free = [p for p in free if p.role != "width"] or free
     grids = {p.name: p.typical(file.rated) for p in free}
     within = {p.name: p.bounds for p in free}
 
