@@ -94,7 +94,10 @@ def test_by_calibration_beside_the_resistance(name):
     strict=True, reason="the speed at which it has built up is stated, and too large for a rotor that sticks"
 )
 def test_stribeck_friction_of_a_rotor_that_sticks_has_its_size(tmp_path: Path) -> None:
-    """Of a plant that sticks: along a rotor that creeps where it stands it is five deviations off, a fifth too large."""
+    """Of a plant that sticks: along a rotor that creeps where it stands it is five deviations off, a fifth too large.
+
+    With that speed fitted the size is right, and a Stribeck friction takes the place of a hysteresis (dev-3438).
+    """
     drawn = next(case for case in draw("dev", 3600, small=True) if case.id == "dev-3386")
     made = generate(replace(drawn, hidden=(("stribeck_friction", 5.0),), kind="single"), tmp_path)
     (hidden,) = made.truth["hidden"]
