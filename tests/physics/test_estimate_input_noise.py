@@ -1,22 +1,24 @@
 """What is rough of a measured input is its sensor's noise, or was at the motor: the errors follow the one, not the other."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import plain_motor
+from helpers.hidden import known
 from helpers.plain_motor import RATED, TYPICAL
 
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.input_noise import least_noise
-from motorlens_physics.estimate.noise import Noise
+from motorlens_physics.estimate.noise import VOLTAGE, Noise
 from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.weighed import first_point
 from motorlens_physics.motor import Motor
-from motorlens_physics.motor_file import MotorFile
+from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.parameter import Rated
-from motorlens_physics.recording import Recording
+from motorlens_physics.recording import Recording, read_recording
 
 PLATE = Rated(
     voltage_V=RATED["voltage"], current_A=RATED["current"], speed_rad_s=RATED["speed"],
@@ -130,3 +132,25 @@ def test_no_more_of_it_is_noise_where_the_errors_do_not_tell(volts: float) -> No
     assert np.sqrt(end.noise.disturbances[0]) == pytest.approx(volts, rel=0.2)
     off = end.off()
     assert max(map(abs, off.values())) < 3, off
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_converter_is_as_noisy_in_one_recording_as_in_another(tmp_path: Path, alike: bool) -> None:
+    """A slow recording, of another's plant, whose current at rest stays at one reading: alone it says a half of the noise.
+
+    A converter of other steps says nothing of it.
+    """
+    made = known("dev-3492", tmp_path)
+    file = read_motor_file(made.motor)
+    fast, slow = (read_recording(path) for path in sorted(made.recordings))
+    if not alike:
+        # As after a divider that is one hundredth larger.
+        slow = replace(slow, channels={**slow.channels, "voltage": 1.01 * slow.channels["voltage"]})
+    # Noise and rounding of the samples by which the voltage stands still.
+    bent = np.diff(fast.channels["voltage"], 2)
+    true_V = float(np.median(np.abs(bent)) / 0.6745 / np.sqrt(6))
+    noises = [run.noise for run in estimate(file, prepare_all([fast, slow], file)).runs]
+    sd_V = [float(np.sqrt(noise.disturbances[VOLTAGE])) for noise in noises if noise is not None]
+    assert sd_V[0] == pytest.approx(true_V, rel=0.1)
+    assert (0.75 < sd_V[1] / true_V < 1.1) if alike else (0.3 < sd_V[1] / true_V < 0.65)

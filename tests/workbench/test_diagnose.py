@@ -322,14 +322,12 @@ def test_beside_two_names_that_are_true_nothing_is_told_at_ten_bits(tmp_path, ca
     "case",
     [
         "dev-3438",
-        pytest.param(
-            "dev-3492", marks=pytest.mark.xfail(strict=True, reason="a dead time is told beside an offset")
-        ),
+        "dev-3492",
         pytest.param("dev-3531", marks=pytest.mark.xfail(strict=True, reason="a drag is told, at 10 bits")),
     ],
 )
 def test_no_group_is_told_that_holds_nothing_of_what_is_hidden(tmp_path, case):
-    """A hysteresis, for which a Stribeck friction of free sharpness stood; and what was found wrong of 137 blind cases."""
+    """A hysteresis, for which a Stribeck friction of free sharpness stood; and an offset of a coarse voltage."""
     made = known(case, tmp_path)
     found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
     hidden = {effect["name"] for effect in made.truth["hidden"]}

@@ -18,7 +18,7 @@ from motorlens_physics.estimate.fit import minimise
 from motorlens_physics.estimate.innovations import Read, Sums, disturbances, read, sums
 from motorlens_physics.estimate.input_noise import least_noise
 from motorlens_physics.estimate.model import Model, as_shown, error_of, predict, sensitivities_of
-from motorlens_physics.estimate.noise import LOAD, OUTLIER, VOLTAGE, Noise, first_noise
+from motorlens_physics.estimate.noise import LOAD, OUTLIER, TORQUE, VOLTAGE, Noise, first_noise
 from motorlens_physics.estimate.noise_likelihood import changed_between, coloured, lasting, likelier, uneven
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
@@ -38,6 +38,8 @@ ROUNDS = 20
 ENOUGH = 0.05
 # How often a parameter more may be taken for real where there is none.
 CHANCE = 0.01
+# Relative difference of the steps of two recordings below which one converter has read both.
+SAME_STEP = 1e-3
 # Close enough to look at how the inputs ran, and at outliers: what a step changes is then noise.
 CLOSE = 1.0
 
@@ -376,7 +378,27 @@ def with_rough_inputs(point: Weighed, prior: Prior) -> Weighed:
     parts = tuple(
         part.with_rough_inputs(other) for part, other in zip(point.parts, recorded.parts, strict=True)
     )
-    return _with_parts(point, parts)
+    return _with_parts(point, tuple(_as_noisy_as(part, parts) for part in parts))
+
+
+def _as_noisy_as(part: Errors, parts: Sequence[Errors]) -> Errors:
+    """With inputs as noisy at least as errors say of other recordings by the same converter, which its step tells.
+
+    A slow recording, or one of a motor at rest whose current stays at one reading, says nothing of it.
+    """
+    least = part.noise.least[:TORQUE].copy()
+    for which, step in enumerate(part.run.input_step):
+        alike = [
+            one.noise.least[which]
+            for one in parts
+            if abs(one.run.input_step[which] - step) < SAME_STEP * step
+        ]
+        least[which] = min(max(alike, default=0.0), part.noise.most[which])
+    return (
+        part
+        if np.all(least <= part.noise.least[:TORQUE])
+        else replace(part, noise=part.noise.followed(least))
+    )
 
 
 def with_moments(point: Weighed) -> Weighed:
