@@ -135,7 +135,7 @@ def test_no_more_of_it_is_noise_where_the_errors_do_not_tell(volts: float) -> No
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("alike", [True, False])
+@pytest.mark.parametrize("alike", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_converter_is_as_noisy_in_one_recording_as_in_another(tmp_path: Path, alike: bool) -> None:
     """A slow recording, of another's plant, whose current at rest stays at one reading: alone it says a half of the noise.
 
