@@ -9,9 +9,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.stats import gumbel_r
 
 from motorlens_physics.estimate.estimate import estimate
@@ -27,8 +27,6 @@ from motorlens_workbench.evidence.null import Null
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.standing import stand
 
-matplotlib.use("Agg")
-
 SIMULATE = "simulate mellah2016 --scenario load_steps --effect coulomb_friction.tau_c=0.3 --noise 0.2% -o"
 TRUE = "coulomb_friction"
 # As many hypotheses as fit into a panel.
@@ -39,8 +37,6 @@ TOLD = 0.01
 
 def main(picture: str) -> int:
     """Simulate, estimate, weigh all hypotheses, draw."""
-    from matplotlib.figure import Figure
-
     with tempfile.TemporaryDirectory() as folder:
         recording = str(Path(folder) / "bench.csv")
         if motorlens([*SIMULATE.split(), recording]):

@@ -29,7 +29,6 @@ from motorlens_runtime.files.columns import (
     speed_of,
     understand,
     units_offered,
-    without_headings,
 )
 from motorlens_runtime.files.formula import ROW
 from motorlens_runtime.files.guesses import refuse_counts
@@ -141,13 +140,7 @@ def read_recording(
     how = None if terminal is None else code(Terminal, terminal, "--terminal")
     tied = "terminal" in columns if how is None else how != Terminal.DRIVEN
     needed = ("time",) if tied else ("time", "voltage")
-    require(
-        columns,
-        needed,
-        table.headings,
-        str(path),
-        _rising(table) if without_headings(table.headings) else None,
-    )
+    require(columns, needed, table.headings, str(path), lambda: _rising(table))
     used = sorted({index for column in columns.values() for index in column.uses} - {ROW})
     numbers = dict(table.numbers(used))
     numbers[ROW] = np.arange(max(map(len, numbers.values()), default=0), dtype=np.float64)

@@ -95,7 +95,7 @@ def estimate(
         prior: the free parameters; None is all that is not known exactly, see `base_prior`.
         held: whether measured inputs hold between samples or run linearly; None decides by the likelihood, each input and
             recording of its own.
-        begin: where to begin; None is where the motor file says, see `before`.
+        begin: where to begin; None is where the motor file says, see `at_prior`.
         progress: told what goes on.
 
     Raises:

@@ -7,7 +7,7 @@ Temperatures stay in degrees Celsius, as every test bench writes them; everythin
 import difflib
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -168,17 +168,12 @@ def understand(headings: Sequence[str], mapping: Mapping[str, str], where: str) 
     return found | {q: replace(c, index=found["time"].index) for q, c in constant.items() if "time" in found}
 
 
-def without_headings(headings: Sequence[str]) -> bool:
-    """Whether a file has no heading line: its columns are numbered."""
-    return list(headings[:1]) == ["#1"]
-
-
 def require(
     found: Mapping[str, Column],
     quantities: Sequence[str],
     headings: Sequence[str],
     where: str,
-    rising: Sequence[str] | None = None,
+    rising: Callable[[], Sequence[str]] | None = None,
 ) -> None:
     """Refuse a recording that lacks any of `quantities`, saying which columns it has and how to map all that it lacks.
 
@@ -187,7 +182,7 @@ def require(
         quantities: that are needed.
         headings: of all columns.
         where: the file.
-        rising: headings of columns that rise from row to row, as a time does; None: not known.
+        rising: finds the headings of columns that rise from row to row, as a time does; None: that cannot be known.
 
     Raises:
         DataError: a quantity is lacking.
@@ -196,11 +191,11 @@ def require(
     if not lacking:
         return
     lacks = " and ".join(f"no {quantity} column ({canonical_name(quantity)})" for quantity in lacking)
-    if without_headings(headings):
+    if list(headings[:1]) == ["#1"]:
         # Nothing says what the others hold: one order that occurs, to be changed.
         chosen = {quantity: column.heading for quantity, column in found.items()}
         if "time" in lacking and rising is not None:
-            chosen["time"] = rising[0] if rising else "row*0.001[s]"
+            chosen["time"] = next(iter(rising()), "row*0.001[s]")
         open_ = [quantity for quantity in _USUAL_ORDER if quantity not in chosen]
         free = [heading for heading in headings if heading not in chosen.values()]
         example = [f"{q}={name}" for q, name in (*chosen.items(), *zip(open_, free, strict=False))]

@@ -19,9 +19,11 @@ from motorlens_workbench.evidence.score import Score
 Array = NDArray[np.float64]
 
 FLIPS = 300
-# The width of the null of a single test: -log of a probability has a standard deviation of one. Where few blocks of time
-# carry what a recording tells, none of their flips is far from the others, and the null seems narrower than that.
-LEAST = math.sqrt(6) / math.pi
+# Width of Gumbel's distribution whose standard deviation is one.
+WIDTH = math.sqrt(6) / math.pi
+# So wide is the null of a single test: -log of a probability has a standard deviation of one. Where few blocks of time carry
+# what a recording tells, none of their flips is far from the others, and the null seems narrower than that.
+LEAST = WIDTH
 EULER = 0.5772156649
 
 
@@ -60,5 +62,5 @@ def null_of(scores: Sequence[Score], rng: np.random.Generator) -> Null | None:
     best = np.max(
         [-np.log(chdtrc(width, np.minimum(most, 1300.0))) for width, most in largest.items()], axis=0
     )
-    scale = max(float(np.std(best)) * LEAST, 1e-3)
+    scale = max(float(np.std(best)) * WIDTH, 1e-3)
     return Null(float(np.mean(best)) - EULER * scale, scale)
