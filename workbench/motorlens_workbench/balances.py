@@ -22,7 +22,14 @@ EQUATIONS = {"electrical": "V", "mechanical": "N*m", "thermal": "W"}
 _AT_ONCE = 65_536
 
 
-def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> dict[str, Array]:
+def missing_of(
+    model: Model,
+    run: Run,
+    r: int,
+    trajectory: Trajectory,
+    predicted: Array,
+    electrical_s: float | None = None,
+) -> dict[str, Array]:
     """What each equation lacks, (N,), with measured states wherever there are some and simulated ones elsewhere.
 
     Args:
@@ -31,6 +38,7 @@ def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted
         r: which run of the model's it is.
         trajectory: of that run, as simulated.
         predicted: (N, C) what its sensors would show: what they add to the truth is taken out of what was measured.
+        electrical_s: time constant of the low-pass in the electrical equation; None: as `filter_times` has it.
     """
     # What goes with the shaft's angle is simulated only where that is known.
     motor, inputs = trajectory.motor, inputs_of(model, run, r)
@@ -45,6 +53,8 @@ def missing_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted
     pace = time_constants(motor)
     masses = dict(zip(EQUATIONS, (motor.L, motor.J, motor.H), strict=True))
     reach = filter_times(run, pace)
+    if electrical_s is not None:
+        reach = {**reach, "electrical": electrical_s}
     missing = {name: np.empty(len(inputs.time_s)) for name in EQUATIONS}
     # Sample by sample, so some at a time: of a long recording the steps of a formula would need more room than its data.
     for begin in range(0, len(inputs.time_s), _AT_ONCE):

@@ -1,8 +1,11 @@
 """A contact that comes and goes: spells of more resistance, too short and too irregular for any curve.
 
 While a contact is bad the electrical equation lacks a voltage that goes with the current, always on the side of more
-resistance; noise lies on both sides alike. What stands out, stands out from robust fits of the run and of each stretch of
-it (Huber 1964, doi:10.1214/aoms/1177703732), so that a model that is a little wrong does not matter.
+resistance; noise lies on both sides alike, and spikes of a sensor do not go with the current. So what robust fits of the run
+and of each stretch of it (Huber 1964, doi:10.1214/aoms/1177703732) leave is taken for a mixture of two: samples without and
+samples with one resistance more
+(expectation maximisation, Dempster, Laird & Rubin 1977, doi:10.1111/j.2517-6161.1977.tb01600.x).
+It is a contact where that is likelier than the same of anything else that comes and goes.
 """
 
 from collections.abc import Sequence
@@ -12,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import Forcing
-from motorlens_physics.estimate.run import Run
 from motorlens_physics.scenario import time_constants
-from motorlens_workbench.balances import filter_times, lowpass, missing_of
+from motorlens_workbench.balances import lowpass, missing_of
+from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
 
@@ -25,15 +28,15 @@ STRETCH, MOST = 60, 24
 # Filter times for which the voltage must have kept to this share of its effective value: where the motor has just been
 # driven elsewhere, what a sensor lags by goes with the current too.
 STEADY, KEPT = 10, 0.05
-# Share of the effective current from which on a current would show a bad contact.
-CARRIES = 0.3
-# Standard deviations from which on a sample stands out.
-BEYOND = 6.0
-# How many spells there must be, how many times as many samples must stand out as on the side of less resistance, and how
-# their voltage must go with the current (correlation): spikes of a sensor do not.
-LEAST, ONE_SIDED, GOES_WITH = 8, 4.0, 0.65
-# Samples of the stretch of time that is shown.
-SHOWN = 80
+# How many spells there must be for it to come and go.
+LEAST = 8
+# Degrees of freedom of Student's t that what is left follows: a model that is a little wrong has longer tails than noise.
+FREEDOM = 4.0
+# The fit of a mixture begins at the likeliest of these sizes, in standard deviations, and at this share of samples that are
+# other than the rest; it ends once a step wins less than this, or after so many, with a share within these.
+BEGIN, SHARE, WINS, STEPS, SHARES = np.geomspace(1.0, 1000.0, 16), 0.1, 1e-3, 200, (1e-4, 0.5)
+# Share of the effective current from which on a bad contact shows, and samples of the stretch of time that is shown.
+CARRIES, SHOWN = 0.3, 80
 # Bound of Huber's weights, standard deviations, and how often they are renewed.
 HUBER, ROUNDS = 1.5, 5
 
@@ -43,21 +46,18 @@ class Contact:
     """The armature's resistance while a contact comes and goes.
 
     Attributes:
-        run: position of the recording in which it shows.
-        recording: its name.
+        recording: name of the one in which it shows most.
         unit: of the resistance.
-        time_s: (M,) when the contact was looked at.
-        missing_V: (M,) what the electrical equation lacks then, 0 where the contact is good.
+        missing: of each recording in which it shows, by position: times in s, and what the electrical equation lacks then,
+            V, 0 where the contact is good, (M,) each.
         shown: part of these samples with the most spells: time in s, resistance beyond the usual, its standard deviation.
         by: how much more the resistance is while the contact is bad, Ohm.
         share: of the time.
     """
 
-    run: int
     recording: str
     unit: str
-    time_s: Array
-    missing_V: Array
+    missing: tuple[tuple[int, Array, Array], ...]
     shown: tuple[Array, Array, Array]
     by: float
     share: float
@@ -73,8 +73,9 @@ class Contact:
     def columns(self, line: Line) -> Array:
         """(N, C, 1) what the voltage that is lost in the contact would change."""
         voltage = np.zeros(len(line.error))
-        if line.r == self.run:
-            voltage = -np.interp(line.trajectory.inputs.time_s, self.time_s, self.missing_V)
+        for r, time, missing in self.missing:
+            if r == line.r:
+                voltage = -np.interp(line.trajectory.inputs.time_s, time, missing)
         still = np.zeros(len(voltage))
         return line.of_forcing(Forcing(voltage, still, still))
 
@@ -89,80 +90,81 @@ class Contact:
 
 @dataclass(frozen=True)
 class _Lacking:
-    """What the electrical equation of a run lacks, M samples.
+    """What the electrical equation of a run lacks at M moments.
 
     Attributes:
-        run: the run.
+        line: the run.
         time_s: (M,).
         current_A: (M,).
-        voltage_V: (M,) beyond a robust fit of its stretch of time.
+        voltage_V: (M,) on the side of a drop, beyond a robust fit of its stretch of time.
         scale_V: (M,) robust standard deviation of its stretch.
         steady: (M,) whether the voltage had been steady.
     """
 
-    run: Run
+    line: Line
     time_s: Array
     current_A: Array
     voltage_V: Array
     scale_V: Array
     steady: NDArray[np.bool_]
 
-    @property
-    def carrying(self) -> NDArray[np.bool_]:
-        """(M,) whether a bad contact would show."""
-        flows = np.abs(self.current_A) > CARRIES * np.sqrt(np.mean(self.current_A**2))
-        return np.asarray(self.steady & flows)
 
-    @property
-    def deviations(self) -> Array:
-        """(M,) in standard deviations, positive on the side of more resistance."""
-        return self.voltage_V * np.sign(self.current_A) / self.scale_V
+@dataclass(frozen=True)
+class _Mixture:
+    """Samples of two kinds.
+
+    Attributes:
+        wins: logarithm of how many times as likely it is as one kind alone.
+        size: by how much the one kind lies beyond the other, in units of its form.
+        share: of the samples that do.
+        other: (M,) probability of each sample of being one of them.
+    """
+
+    wins: float
+    size: float
+    share: float
+    other: Array
 
     @property
     def spells(self) -> int:
-        """How many there are: neighbours that stand out belong together."""
-        out = self.carrying & (self.deviations > BEYOND)
+        """How many there are: neighbours belong together."""
+        out = self.other > 0.5
         return int(np.sum(out[1:] & ~out[:-1]) + np.sum(out[:1]))
 
 
 def contacts(lines: Sequence[Line]) -> list[Hypothesis]:
-    """A contact in each recording in which the electrical equation shows one.
+    """A contact, if the electrical equation shows one.
 
     Recordings without current or speed say nothing, nor do very short ones.
     """
-    seen = [(line, _lacking(line)) for line in lines if {"current", "speed"} <= {*line.run.channels}]
-    listed = []
-    for line, lacking in seen:
-        if lacking is None or lacking.spells < LEAST:
-            continue
-        z, here = lacking.deviations, lacking.carrying
-        out = here & (z > BEYOND)
-        if out.sum() < ONE_SIDED * max(int(np.sum(here & (z < -BEYOND))), 1):
-            continue
-        drop, current = lacking.voltage_V[out], lacking.current_A[out]
-        if np.corrcoef(drop, current)[0, 1] < GOES_WITH:
-            continue
-        shape = _shape(lacking, line)
-        name = f"contact of {line.run.name}"
-        listed.append(Hypothesis(name, "unnamed", "electrical", (shape,)))
-    return listed
+    seen = [lacking for line in lines if (lacking := _lacking(line)) is not None]
+    found = [(lacking, bad) for lacking in seen if (bad := _contact(lacking)) is not None]
+    if sum(bad.spells for _, bad in found) < LEAST:
+        return []
+    most, bad = max(found, key=lambda pair: pair[1].wins)
+    return [Hypothesis("contact", "unnamed", "electrical", (_shape(most, bad, found),))]
 
 
 def _lacking(line: Line) -> _Lacking | None:
     model, run = line.model, line.run
-    tau = filter_times(run, time_constants(model.file.motor))["electrical"]
+    if not {"current", "speed"} <= {*run.channels}:
+        return None
+    # As short as a derivative of the current may be, there and back: what is slower would take several spells for one.
+    tau = 0.5 * max(run.period_s, time_constants(model.file.motor).electrical_s)
     time = run.inputs.time_s
-    # A voltage that is missing on the side of the drop.
-    drop = -missing_of(model, run, line.r, line.trajectory, line.predicted)["electrical"]
-    current, speed = (
-        lowpass(run.measured[:, run.channels.index(channel)], time, tau) for channel in ("current", "speed")
+    drop = _back(
+        -missing_of(model, run, line.r, line.trajectory, line.predicted, tau)["electrical"], time, tau
     )
-    step = max(1, round(tau / run.period_s))
+    current, speed = (
+        _back(lowpass(run.measured[:, run.channels.index(channel)], time, tau), time, tau)
+        for channel in ("current", "speed")
+    )
+    step = max(1, round(2 * tau / run.period_s))
     at = np.arange(20 * step, len(time), step)
     at = at[run.valid[at]]
     if len(at) < STRETCH:
         return None
-    voltage = lowpass(run.inputs.voltage_V, time, tau)
+    voltage = _back(lowpass(run.inputs.voltage_V, time, tau), time, tau)
     moved = np.abs(voltage - np.concatenate([np.full(STEADY * step, voltage[0]), voltage[: -STEADY * step]]))
     steady = moved < KEPT * np.sqrt(np.mean(voltage**2))
     # What the model has a little wrong: over the run as a whole, then a resistance that warms. With more terms, two levels
@@ -175,7 +177,14 @@ def _lacking(line: Line) -> _Lacking | None:
         parts.append(np.column_stack([stretch, beyond, np.full(len(stretch), scale)]))
     used, beyond, scales = np.concatenate(parts).T
     at = used.astype(int)
-    return _Lacking(run, time[at], current[at], beyond, scales, steady[at])
+    if steady[at].sum() < STRETCH:
+        return None
+    return _Lacking(line, time[at], current[at], beyond, scales, steady[at])
+
+
+def _back(y: Array, time: Array, tau: float) -> Array:
+    """(N,) samples through the low-pass once more, against time, so that they are not late."""
+    return lowpass(y[::-1], -time[::-1], tau)[::-1]
 
 
 def robust(terms: Array, y: Array) -> tuple[Array, float]:
@@ -191,17 +200,71 @@ def robust(terms: Array, y: Array) -> tuple[Array, float]:
     return error, scale
 
 
-def _shape(seen: _Lacking, line: Line) -> Contact:
-    kept = seen.carrying
-    time, z = seen.time_s[kept], seen.deviations[kept]
-    more, sd = (seen.voltage_V / seen.current_A)[kept], (seen.scale_V / np.abs(seen.current_A))[kept]
-    spells = z > BEYOND
-    # Spells shorter than the filter look smaller than they are.
-    by = float(np.quantile(more[spells], 0.75))
+def _contact(seen: _Lacking) -> _Mixture | None:
+    """The spells of a run, if they are likelier than none, and than anything else that comes and goes."""
+    drop, scale, current = (y[seen.steady] for y in (seen.voltage_V, seen.scale_V, seen.current_A))
+    even, way = np.ones_like(current), np.sign(current)
+    bad = _mixture(drop, scale, [current])
+    # Less resistance, or as often less as more; and a voltage that does not go with the current.
+    others = [[-current], [current, -current], [even], [-even], [even, -even], [way], [-way]]
+    # Two numbers are fitted: how much, and how often (Schwarz 1978, doi:10.1214/aos/1176344136).
+    rival = max(np.log(len(drop)), *(_mixture(drop, scale, forms).wins for forms in others))
+    return bad if bad.wins > rival + NEARLY else None
+
+
+def _mixture(drop: Array, scale: Array, forms: Sequence[Array]) -> _Mixture:
+    """Samples (M,) some of which lie beyond the others by a size times one of the forms, each as likely as another."""
+    usual = _likelihood(drop, scale)
+
+    def parts(size: float, share: float) -> tuple[Array, Array, Array]:
+        each = np.array([_likelihood(drop - size * form, scale) for form in forms])
+        apart = np.logaddexp.reduce(each, axis=0)
+        there = np.log(share / len(forms)) + apart
+        total = np.logaddexp(np.log1p(-share) + usual, there)
+        return np.exp(each - apart), np.exp(there - total), total - usual
+
+    sizes = BEGIN / np.sqrt(np.mean((forms[0] / scale) ** 2))
+    size, share = float(max(sizes, key=lambda size: float(np.sum(parts(size, SHARE)[2])))), SHARE
+    wins = -np.inf
+    for _ in range(STEPS):
+        which, other, each = parts(size, share)
+        before, wins = wins, float(np.sum(each))
+        if wins < before + WINS:
+            break
+        pulls = [
+            other * one / (FREEDOM + ((drop - size * form) / scale) ** 2) / scale**2
+            for one, form in zip(which, forms, strict=True)
+        ]
+        weight = sum(float(np.sum(pull * form**2)) for pull, form in zip(pulls, forms, strict=True))
+        moment = sum(float(np.sum(pull * form * drop)) for pull, form in zip(pulls, forms, strict=True))
+        size = max(moment / weight, 0.0)
+        share = float(np.clip(other.mean(), *SHARES))
+    return _Mixture(wins, size, share, other)
+
+
+def _likelihood(error: Array, scale: Array) -> Array:
+    """(M,) logarithm of Student's t, but for a constant."""
+    return np.asarray(-np.log(scale) - 0.5 * (FREEDOM + 1) * np.log1p((error / scale) ** 2 / FREEDOM))
+
+
+def _when(seen: _Lacking, bad: _Mixture) -> Array:
+    """(M,) probability that the contact is bad, whether the voltage had been steady or not."""
+    good = _likelihood(seen.voltage_V, seen.scale_V) + np.log1p(-bad.share)
+    there = _likelihood(seen.voltage_V - bad.size * seen.current_A, seen.scale_V) + np.log(bad.share)
+    return np.asarray(np.exp(there - np.logaddexp(good, there)))
+
+
+def _shape(most: _Lacking, bad: _Mixture, found: Sequence[tuple[_Lacking, _Mixture]]) -> Contact:
+    # Where hardly a current flows nothing shows.
+    kept = most.steady & (np.abs(most.current_A) > CARRIES * np.sqrt(np.mean(most.current_A**2)))
+    time, current, spells = most.time_s[kept], most.current_A[kept], _when(most, bad)[kept]
+    more, sd = most.voltage_V[kept] / current, most.scale_V[kept] / np.abs(current)
     counts = np.convolve(spells, np.ones(min(SHOWN, len(spells))), mode="valid")
     window = slice(int(np.argmax(counts)), int(np.argmax(counts)) + SHOWN)
-    missing = np.where(seen.carrying & (seen.deviations > BEYOND), seen.voltage_V, 0.0)
+    missing = tuple(
+        (one.line.r, one.time_s, _when(one, each) * each.size * one.current_A) for one, each in found
+    )
     return Contact(
-        line.r, seen.run.name, line.model.file.meaning("R_a0").unit, seen.time_s, missing,
-        (time[window], more[window], sd[window]), by, float(np.mean(more > 0.5 * by)),
+        most.line.run.name, most.line.model.file.meaning("R_a0").unit, missing,
+        (time[window], more[window], sd[window]), bad.size, float(np.mean(more > 0.5 * bad.size)),
     )  # fmt: skip
