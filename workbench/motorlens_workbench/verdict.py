@@ -22,7 +22,8 @@ from motorlens_workbench.evidence.held_out import by_run, fitted_errors, times_n
 from motorlens_workbench.evidence.score import Score
 from motorlens_workbench.evidence.unmeasured_torque import UnmeasuredTorque, unmeasured_torque
 from motorlens_workbench.fitted import Accepted
-from motorlens_workbench.hypotheses.courses import parameters_of
+from motorlens_workbench.hypotheses.courses import TEXTBOOK
+from motorlens_workbench.hypotheses.effects import equation_of
 from motorlens_workbench.standing import Standing
 
 # Names in a group that anybody would read.
@@ -205,10 +206,12 @@ def _won(accepted: Sequence[Accepted]) -> float:
 
 
 def _equation_of(found: Finding, key: str) -> str | None:
-    """Where a parameter of the motor stands; None of one that no course is looked for of, see `parameters_of`."""
-    channels = [channel for run in found.runs for channel in run.channels]
-    equation, _ = parameters_of(found.outcome.last.fitted.model.file, channels).get(key, (None, ()))
-    return equation
+    """Where a parameter of the motor stands, the textbook's or an effect's; None of one of a sensor."""
+    effects = {
+        one.name(): equation_of(type(one)) for one in found.outcome.last.fitted.model.file.motor.effects
+    }
+    textbook = {name: equation for name, (equation, _) in TEXTBOOK.items()}
+    return textbook.get(key) or effects.get(key.partition(".")[0])
 
 
 def _names(found: Finding) -> list[str]:

@@ -6,7 +6,7 @@ among them, is let free as a sum of hat functions; what that explains beyond the
 Varying-coefficient models: Hastie and Tibshirani (1993), doi:10.1111/j.2517-6161.1993.tb01939.x.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -27,12 +27,12 @@ Array = NDArray[np.float64]
 
 EVERYTHING = ("speed", "current", "temperature", "time", "travel")
 SLOW = ("speed", "temperature", "time")
-# Parameters of the textbook, the equation each belongs to, and against what it may vary. The temperature coefficient and the
-# growth of cooling with speed are not in the list: R_a0 against temperature and k0 against speed say the same.
-TEXTBOOK = {
-    "R_a0": ("electrical", EVERYTHING), "L": ("electrical", EVERYTHING), "ke": ("coupling", EVERYTHING),
-    "J": ("mechanical", EVERYTHING), "b": ("mechanical", EVERYTHING), "k0": ("thermal", SLOW), "k_ir": ("thermal", SLOW),
-    "H": ("thermal", SLOW),
+# The equation of every parameter of the textbook, and against what it may vary. The temperature coefficient and the growth
+# of cooling with speed may not: R_a0 against temperature and k0 against speed say the same.
+TEXTBOOK: Mapping[str, tuple[str, Sequence[str]]] = {
+    "R_a0": ("electrical", EVERYTHING), "alpha": ("electrical", ()), "L": ("electrical", EVERYTHING),
+    "ke": ("coupling", EVERYTHING), "J": ("mechanical", EVERYTHING), "b": ("mechanical", EVERYTHING),
+    "k0": ("thermal", SLOW), "kT": ("thermal", ()), "k_ir": ("thermal", SLOW), "H": ("thermal", SLOW),
 }  # fmt: skip
 KNOTS = {"speed": 6, "current": 6, "temperature": 5, "time": 8}
 # Angles turned since the last reversal, rad: bristles and backlash are used up within a few.
@@ -157,7 +157,9 @@ def parameters_of(file: MotorFile, channels: Sequence[str]) -> dict[str, tuple[s
         channels: measured outputs; without the temperature, heat is not looked at.
     """
     parameters: dict[str, tuple[str, Sequence[str]]] = {
-        key: what for key, what in TEXTBOOK.items() if what[0] != "thermal" or "temperature" in channels
+        key: (equation, against)
+        for key, (equation, against) in TEXTBOOK.items()
+        if against and (equation != "thermal" or "temperature" in channels)
     }
     for effect in file.motor.effects:
         switch = effect.switch()
