@@ -124,7 +124,7 @@ class Effect:
         return {}
 
     def stiction(self, m: Any, x: Any, u: Any) -> Any:
-        """Largest torque with which the effect holds a resting rotor, in N m; 0 if it has no part in holding it."""
+        """Largest torque with which the effect holds a resting rotor from turning the way of x.w, in N m; 0 without any."""
         return 0.0
 
 

@@ -46,7 +46,7 @@ class System:
         states: names; symbol `x_NAME` each. The states of the motor come first, then those only candidates bring.
         keys: parameter keys in the order of the argument vector; symbol `p_K` each.
         balances: right-hand side of each state's equation, before division by its mass.
-        stiction: torque that holds a resting rotor, in N m.
+        stiction: torque that holds a resting rotor from turning to a `SIDE`, in N m.
         of_motor: how many of `states` are the motor's own.
         forcings: for each of `forcing_keys`, what enters the motor's own balances per unit of it; empty if not asked for.
     """
@@ -175,13 +175,17 @@ def _sharpened(effect: Effect) -> Effect:
     class Sharp(type(effect)):  # type: ignore[misc]
         def torque(self, m: Any, x: Any, u: Any) -> Any:
             torque = sp.sympify(super().torque(m, x, u))
-            if self.stiction(m, x, u) == 0:
-                return torque
+            return torque if self.stiction(m, x, u) == 0 else _sharp(torque, x.w)
 
-            def turns(term: Any) -> bool:
-                return isinstance(term, sp.tanh) and term.has(x.w) and term.args[0].subs(x.w, 0) == 0
-
-            return torque.replace(turns, lambda term: sp.tanh(term.args[0] + _SATURATED * SIDE))
+        def stiction(self, m: Any, x: Any, u: Any) -> Any:
+            return _sharp(sp.sympify(super().stiction(m, x, u)), x.w)
 
     Sharp.__name__ = type(effect).__name__
     return Sharp(**{f.name: getattr(effect, f.name) for f in fields(effect)})
+
+
+def _sharp(torque: Any, w: Any) -> Any:
+    def turns(term: Any) -> bool:
+        return isinstance(term, sp.tanh) and term.has(w) and term.args[0].subs(w, 0) == 0
+
+    return torque.replace(turns, lambda term: sp.tanh(term.args[0] + _SATURATED * SIDE))

@@ -295,15 +295,15 @@ def holds_as_it_brakes(effect: type[Effect]) -> None:
     x, u = _point(effect, np.random.default_rng(10))
     e = effect.typical(PLATES[0])
     x.w = 0.0
-    hold = e.stiction(MOTOR, x, u)
-    assert hold >= 0, "friction that pushes"
-    if hold == 0:
+    if e.stiction(MOTOR, x, u) == 0:
         return
     narrow: dict[str, Any] = {"w_s": 1e-3}
     for side in (-1, 1):
         x.w = side * 0.02
-        brake = replace(e, **narrow).torque(MOTOR, x, u)
-        np.testing.assert_allclose(brake, -side * hold, rtol=1e-3)
+        sharp = replace(e, **narrow)
+        hold = sharp.stiction(MOTOR, x, u)
+        assert hold >= 0, "friction that pushes"
+        np.testing.assert_allclose(sharp.torque(MOTOR, x, u), -side * hold, rtol=1e-3, atol=1e-12)
 
 
 CONTRACT: tuple[Callable[[type[Effect]], None], ...] = (

@@ -86,7 +86,7 @@ def test_machine_code_does_what_its_source_says_in_python(
         x = np.array([5.0, 100.0, 30.0, *np.ones(n - 3)]) * rng.normal(size=n)
         found = []
         for functions in (python, machine):
-            out, a, g = np.zeros(3 * n + 6), np.zeros((n, n)), np.zeros((n, columns))
+            out, a, g = np.zeros(3 * n + 7), np.zeros((n, n)), np.zeros((n, columns))
             jacobians, over = np.zeros((3, n, n)), np.eye(n, 4 * n)
             names = ("step", "rest", "balance", "linear", "stiffness", "transfer")
             (_call if functions is python else call)(
@@ -99,12 +99,13 @@ def test_machine_code_does_what_its_source_says_in_python(
 def _call(step, rest, balance, linear, stiffness, transfer, x, p, out, a, g, slots, jacobians, over):  # type: ignore[no-untyped-def]
     n, u = x.size, np.array([200.0, 3.0, 20.0, 0.4, 50.0, -1.0, 0.1, 90.0, 5.0, 7.0, 0.0, 0.0, 0.0])
     step(x, p, 0.5, u, 1e-3, 1.0, 1.0, out[:n], out[n : 2 * n], out[2 * n : 3 * n])
-    out[3 * n], out[3 * n + 1], out[3 * n + 2] = rest(x, p, 0.5, u, 0.1)
-    out[3 * n + 3], out[3 * n + 4] = balance(x, p, 0.5, u, 0.1, 0.0)
+    rests = rest(x, p, 0.5, u, 0.1)
+    out[3 * n], out[3 * n + 1], out[3 * n + 2], out[3 * n + 3] = rests[0], rests[1], rests[2], rests[3]
+    out[3 * n + 4], out[3 * n + 5] = balance(x, p, 0.5, u, 0.1, 0.0)
     linear(x, p, 0.5, u, 0.1, -1.0, slots, a, g)
     for k in range(3):
         linear(x, p, 0.5, u, 0.05 * k, 1.0, slots, jacobians[k], g)
-    out[3 * n + 5] = stiffness(p, 1e-3, 1.0, jacobians)
+    out[3 * n + 6] = stiffness(p, 1e-3, 1.0, jacobians)
     transfer(p, 1e-3, 1.0, jacobians, 0.0, 0.3, over)
     transfer(p, 1e-3, 1.0, jacobians, 0.3, 1.0, over)
 
@@ -165,7 +166,8 @@ def test_what_holds_at_rest_is_the_friction_of_a_rotor_that_just_turns(name: str
     row = system.states.index("w")
     for side in (1, -1):
         torque = (system.balances[row] - bare.balances[row]).subs(SIDE, side).subs(at)
-        assert float(sp.N(torque)) == pytest.approx(-side * float(sp.N(system.stiction.subs(at))), rel=1e-12)
+        hold = float(sp.N(system.stiction.subs(SIDE, side).subs(at)))
+        assert float(sp.N(torque)) == pytest.approx(-side * hold, rel=1e-12, abs=1e-15)
     assert float(sp.N((system.balances[row] - bare.balances[row]).subs(SIDE, 0).subs(at))) == 0.0
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
+from motorlens_physics.effects.directional_friction import DirectionalFriction
 from motorlens_physics.effects.stribeck_friction import StribeckFriction
 from motorlens_physics.motor import Motor
 from motorlens_physics.simulation import Inputs, simulate
@@ -46,6 +47,17 @@ def test_a_resting_rotor_breaks_away_when_the_torque_exceeds_stiction() -> None:
     soon = (time > breaks) & (time < breaks + 0.02)
     by_hand = motor.ke * (time[soon] - breaks) ** 2 / motor.R_a0 / motor.J
     np.testing.assert_allclose(run.speed_rad_s[soon], by_hand, rtol=0.15, atol=1e-6)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_friction_that_differs_with_the_direction_holds_as_it_brakes(side: int) -> None:
+    # 0.4 N m either way and 0.3 N m more forwards: it breaks away at 0.7 N m forwards, at 0.4 N m backwards.
+    motor = replace(FRICTION, L=0.0, effects=(*FRICTION.effects, DirectionalFriction(tau_d=0.3)))
+    time = np.linspace(0.0, 4.0, 4001)
+    run = simulate(motor, inputs(time, side * 2.0 * time), tolerance=1e-9)
+    breaks = (0.7 if side > 0 else 0.4) * motor.R_a0 / motor.ke / 2.0
+    assert (run.speed_rad_s[time <= breaks] == 0.0).all()
+    assert (side * run.speed_rad_s[time > breaks + 1e-3] > 0.0).all()
 
 
 def test_a_resting_rotor_does_not_drift() -> None:

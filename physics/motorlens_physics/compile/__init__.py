@@ -67,7 +67,8 @@ def source(system: System) -> str:
 
     step: one step of length h from x; y the new state, e the estimate of its error, z the state in the middle. u is what
     acts at t, see `types`.
-    rest: torque on a rotor at rest with the load's full share, that load, and stiction; inputs at t + ahead.
+    rest: torque on a rotor at rest with the load's full share, that load, and stiction forwards and backwards; inputs at
+        t + ahead.
     balance: right-hand sides of the electrical and the mechanical balance.
     linear: Jacobian a (n, n) of the motor's own balances and forcings g (n, columns), the k-th going to column slots[k].
     stiffness, transfer: see `variational`.
@@ -159,10 +160,14 @@ def _linearised(system: System) -> str:
 
 
 def _rest(system: System) -> str:
-    at_rest = {named("x_w"): sp.Integer(0), SIDE: sp.Integer(0)}
-    torque = system.balances[system.states.index("w")].subs(at_rest)
-    outputs = {"torque": torque, "stiction": system.stiction.subs(at_rest)}
-    lines = [*_at(system), *_assigned(outputs, system), f"return torque, {LOAD}, stiction"]
+    speed = named("x_w")
+    torque = system.balances[system.states.index("w")]
+    outputs = {
+        "torque": torque.subs({speed: sp.Integer(0), SIDE: sp.Integer(0)}),
+        "forwards": system.stiction.subs({speed: sp.Integer(0), SIDE: sp.Integer(1)}),
+        "backwards": system.stiction.subs({speed: sp.Integer(0), SIDE: sp.Integer(-1)}),
+    }
+    lines = [*_at(system), *_assigned(outputs, system), f"return torque, {LOAD}, forwards, backwards"]
     return _function("rest(x, p, t, u, ahead)", lines)
 
 

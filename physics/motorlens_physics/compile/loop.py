@@ -8,9 +8,9 @@ A current or a speed may be imposed instead (a current-controlled drive, an open
 at the sample and follows its slope, its equation is left out, and nothing breaks away.
 
 At rest the load and the friction are sets: the load is a brake that holds with up to its torque either way, and stiction
-with up to its own. The rotor rests while they can balance the motor's torque, so a load never drives a resting rotor and
-a resting rotor does not drift. A step in which the speed passes through zero is cut there, and a resting rotor breaks away
-at the instant at which the balance becomes impossible.
+with up to its own, which may differ with the side. The rotor rests while they can balance the motor's torque, so a load
+never drives a resting rotor and a resting rotor does not drift. A step in which the speed passes through zero is cut there,
+and a resting rotor breaks away at the instant at which the balance becomes impossible.
 """
 
 import math
@@ -53,9 +53,11 @@ INDUCTANCE = 1
 # ---- compiled from here on ----
 def breaks_away(rest: Any, x: Vector, p: Vector, t: float, u: Vector, ahead: float) -> tuple[float, float]:
     """By how much the torque on a resting rotor exceeds what can hold it (N m), and which way it would turn."""
-    with_load, load, stiction = rest(x, p, t, u, ahead)
+    with_load, load, forwards, backwards = rest(x, p, t, u, ahead)
     torque = with_load + load
-    return abs(torque) - abs(load) - stiction, 1.0 if torque > 0.0 else -1.0
+    if torque > 0.0:
+        return torque - abs(load) - max(forwards, 0.0), 1.0
+    return -torque - abs(load) - max(backwards, 0.0), -1.0
 
 
 def error_of(x: Vector, y: Vector, e: Vector, atol: Vector, rtol: float) -> float:

@@ -13,8 +13,7 @@ class DirectionalFriction(Effect):
     """Coulomb friction that acts forwards only: -tau_d tanh(w / w_s) (1 + tanh(w / w_s)) / 2.
 
     Brushes trail one way and dig in the other. Less friction forwards than backwards is a negative tau_d beside a
-    `coulomb_friction` of at least its size. The smooth form alone holds the rotor (no `stiction`): the hold differs
-    with the side.
+    `coulomb_friction` of at least its size. It holds a resting rotor from turning forwards, and not from turning backwards.
     Armstrong-Hélouvry, Dupont and Canudas de Wit (1994), A survey of models, analysis tools and compensation methods
     for the control of machines with friction, doi:10.1016/0005-1098(94)90209-7.
 
@@ -38,14 +37,16 @@ class DirectionalFriction(Effect):
     w_s: float = param(
         0.5,
         "rad/s",
-        "width of the smoothing",
+        "speed at which it has built up",
         bounds=(1e-3, 50.0),
-        prior=0.002,
+        prior=0.02,
         of="speed",
-        fixed=True,
         role="width",
     )
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:
         turn = tanh(x.w / self.w_s)
         return -self.tau_d * turn * (1 + turn) / 2
+
+    def stiction(self, m: Any, x: Any, u: Any) -> Any:
+        return self.tau_d * (1 + tanh(x.w / self.w_s)) / 2

@@ -29,11 +29,10 @@ class LoadDependentFriction(Effect):
     w_s: float = param(
         0.5,
         "rad/s",
-        "width of the smoothing",
+        "speed at which it has built up",
         bounds=(1e-3, 50.0),
-        prior=0.002,
+        prior=0.02,
         of="speed",
-        fixed=True,
         role="width",
     )
     tau_r: float = param(
