@@ -10,7 +10,7 @@ from helpers.integrators import scipy_solution
 
 from motorlens_physics.datasheet import from_datasheet, parse_datasheet
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
-from motorlens_physics.effects.directional_friction import DirectionalFriction
+from motorlens_physics.effects.stribeck_friction import StribeckFriction
 from motorlens_physics.estimate.calibrate import Calibration, calibrate
 from motorlens_physics.estimate.prior import TAKEN
 from motorlens_physics.estimate.report import _confounded
@@ -362,11 +362,11 @@ def test_a_datasheet_no_motor_can_have_is_refused() -> None:
 def test_what_cannot_be_calibrated_is_refused() -> None:
     rng = np.random.default_rng(22)
     recording = record(Motor(), rng, dt=2e-3, samples=100, hold=50)
-    file = MotorFile("plate", Motor(effects=(DirectionalFriction(),)), PLATE)
+    file = MotorFile("plate", Motor(effects=(StribeckFriction(),)), PLATE)
     with pytest.raises(ModelError, match="cannot fit 'R': plate has R_a0"):
         calibrate(file, [recording], ["R"])
     with pytest.raises(ModelError, match="stated by choice"):
-        calibrate(file, [recording], ["directional_friction.w_s"])
+        calibrate(file, [recording], ["stribeck_friction.w_s"])
     only_voltage = replace(recording, channels={"voltage": recording.channels["voltage"]})
     with pytest.raises(DataError, match="only inputs are recorded"):
         calibrate(file, [only_voltage], ["R_a0"])

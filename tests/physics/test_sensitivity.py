@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
-from motorlens_physics.effects.directional_friction import DirectionalFriction
 from motorlens_physics.effects.quadratic_drag import QuadraticDrag
+from motorlens_physics.effects.stribeck_friction import StribeckFriction
 from motorlens_physics.motor import Motor
 from motorlens_physics.parameter import Rated, parameters
 from motorlens_physics.sensitivity import linearise, linearise_and_differentiate, sensitivities
@@ -262,7 +262,7 @@ def test_a_constant_heat_warms_as_the_thermal_equation_says() -> None:
     ("keys", "candidates", "message"),
     [
         (["R"], [], "'R': the parameter is not there; there are R_a0"),
-        (["directional_friction.w_s"], [], "is fixed"),
+        (["stribeck_friction.w_s"], [], "is fixed"),
         (["initial.phi"], [], "the motor's states are i, w, theta"),
         ([], [CoulombFriction()], "'coulomb_friction' is in the motor already"),
     ],
@@ -270,7 +270,7 @@ def test_a_constant_heat_warms_as_the_thermal_equation_says() -> None:
 def test_keys_that_are_not_there_are_refused(
     keys: list[str], candidates: list[CoulombFriction], message: str
 ) -> None:
-    motor = Motor(effects=(CoulombFriction(tau_c=0.1), DirectionalFriction(tau_d=0.1)))
+    motor = Motor(effects=(CoulombFriction(tau_c=0.1), StribeckFriction(tau_s=0.1)))
     with pytest.raises(ModelError, match=message):
         sensitivities(motor, drive(7, 50), None, keys, candidates)
 
