@@ -227,7 +227,7 @@ def _forward(
     beside = [order.index(key) if key in order else -1 for key in (INPUT_KEYS[0], *IMPOSED_KEYS)]
     variations = Variations(
         S=S, kept=kept, matrices=matrices, slots=slots, beside=np.array(beside, dtype=np.int64),
-        a=np.zeros((3, n, n)), g=np.zeros((3, n, len(forced) + 1)), over=np.zeros((n, 4 * n)), T=np.zeros(S.shape),
+        a=np.zeros((3, n, n + 1)), g=np.zeros((3, n, len(forced) + 1)), over=np.zeros((n, 4 * n)), T=np.zeros(S.shape),
     )  # fmt: skip
     trajectory = run(
         system, code, motor, inputs, x, tolerance=tolerance, smooth=smooth, candidates=candidates,

@@ -47,6 +47,7 @@ class System:
         keys: parameter keys in the order of the argument vector; symbol `p_K` each.
         balances: right-hand side of each state's equation, before division by its mass.
         stiction: torque that holds a resting rotor from turning to a `SIDE`, in N m.
+        per_volt: what the electrical balance has, before division by L, of a volt more: L over the inductance as it is.
         of_motor: how many of `states` are the motor's own.
         forcings: for each of `forcing_keys`, what enters the motor's own balances per unit of it; empty if not asked for.
     """
@@ -55,6 +56,7 @@ class System:
     keys: tuple[str, ...]
     balances: tuple[Any, ...]
     stiction: Any
+    per_volt: Any
     of_motor: int
     forcings: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
@@ -101,8 +103,10 @@ def trace(
     u = SimpleNamespace(**{name: named(f"u_{name}") for name in (*INPUTS, "t")})
 
     voltage, torque, heat = (sp.sympify(balance) for balance in whole.balances(x, u))
+    per_volt = sp.Integer(1)
     if whole.inductance(x, u) != symbol["L"]:
-        voltage = voltage / sp.cancel(whole.inductance(x, u) / symbol["L"])
+        per_volt = 1 / sp.cancel(whole.inductance(x, u) / symbol["L"])
+        voltage = voltage * per_volt
     rates = whole.rates(x, u)
     balances = [voltage, torque, heat, *(sp.sympify(rates[name]) for name in states[3:])]
 
@@ -120,7 +124,8 @@ def trace(
         rate = sp.Piecewise((balances[row] / m, m > 0), (0, True)) if mass == "L" else balances[row] / m
         forcings[mass] = tuple(f - rate if r == row else f for r, f in enumerate(forcings[mass]))
     stiction = sum((effect.stiction(whole, x, u) for effect in whole.effects), start=sp.Integer(0))
-    return System(states, keys, tuple(balances), sp.sympify(stiction).subs(at_null), of_motor, forcings)
+    stiction, per_volt = (sp.sympify(one).subs(at_null) for one in (stiction, per_volt))
+    return System(states, keys, tuple(balances), stiction, per_volt, of_motor, forcings)
 
 
 def states_of(motor: Motor, *, turned: bool) -> tuple[str, ...]:

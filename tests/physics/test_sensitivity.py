@@ -9,6 +9,7 @@ from scipy.linalg import expm
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.effects.coulomb_friction import CoulombFriction
+from motorlens_physics.effects.inductance_saturation import InductanceSaturation
 from motorlens_physics.effects.quadratic_drag import QuadraticDrag
 from motorlens_physics.effects.stribeck_friction import StribeckFriction
 from motorlens_physics.motor import Motor
@@ -173,7 +174,11 @@ def test_candidates_leave_the_motor_as_it_is() -> None:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("motor", [Motor(), Motor(effects=(QuadraticDrag(c=1e-5),))], ids=["plain", "drag"])
+@pytest.mark.parametrize(
+    "motor",
+    [Motor(), Motor(effects=(QuadraticDrag(c=1e-5),)), Motor(effects=(InductanceSaturation(s=0.02),))],
+    ids=["plain", "drag", "saturating"],
+)
 @pytest.mark.parametrize("held", [True, False], ids=["held", "linear"])
 def test_forcings_respond_as_small_changes_of_the_inputs(motor: Motor, held: bool) -> None:
     inputs = drive(5, 800, low=60.0, held=held)

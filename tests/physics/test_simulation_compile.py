@@ -86,8 +86,8 @@ def test_machine_code_does_what_its_source_says_in_python(
         x = np.array([5.0, 100.0, 30.0, *np.ones(n - 3)]) * rng.normal(size=n)
         found = []
         for functions in (python, machine):
-            out, a, g = np.zeros(3 * n + 7), np.zeros((n, n)), np.zeros((n, columns))
-            jacobians, over = np.zeros((3, n, n)), np.eye(n, 4 * n)
+            out, a, g = np.zeros(3 * n + 7), np.zeros((n, n + 1)), np.zeros((n, columns))
+            jacobians, over = np.zeros((3, n, n + 1)), np.eye(n, 4 * n)
             names = ("step", "rest", "balance", "linear", "stiffness", "transfer")
             (_call if functions is python else call)(
                 *(functions[name] for name in names), x, p, out, a, g, np.arange(columns), jacobians, over

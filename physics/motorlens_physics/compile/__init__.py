@@ -172,9 +172,10 @@ def _rest(system: System) -> str:
 
 
 def _linear(system: System) -> str:
-    """Jacobian and forcings of the motor's own balances at a point of the trajectory."""
+    """Jacobian of the motor's own balances at a point of the trajectory, what each has of a unit more, and forcings."""
     n = system.of_motor
     outputs = {f"a[{r}, {c}]": entry for (r, c), entry in jacobian_of(system).items() if max(r, c) < n}
+    outputs |= {f"a[{r}, {n}]": system.per_volt if r == types.CURRENT else sp.Integer(1) for r in range(3)}
     for k, forcing in enumerate(system.forcings.values()):
         outputs |= {f"g[{r}, slots[{k}]]": entry for r, entry in enumerate(forcing) if entry != 0}
     lines = [*_at(system), *_assigned(outputs, system)]

@@ -58,7 +58,7 @@ class Variations(NamedTuple):
     `matrices` (N - 1, n, n + 6) are asked for, n + 6 for the unit perturbations of a sample. `kept` (N, rows, columns)
     has n rows, and one for the terminal voltage if anything is imposed. `slots` says which column a forcing goes to, and
     `beside` which one a constant added to the voltage, the imposed current and the imposed speed has, -1 for none.
-    `a` (3, n, n), `g` (3, n, forced + 1), `over` (n, 4 n) and `T`, like S, are for working.
+    `a` (3, n, n + 1), `g` (3, n, forced + 1), `over` (n, 4 n) and `T`, like S, are for working.
     """
 
     S: Matrix

@@ -36,9 +36,10 @@ LOBATTO = ((1 / 6, -1 / 3, 1 / 6), (1 / 6, 5 / 12, -1 / 12), (1 / 6, 2 / 3, 1 / 
 def transfer_source(system: System) -> list[str]:
     """The lines of `transfer(p, h, flow, a, left, right, over)`: from one share of a step of length h to another.
 
-    Carried on is `over` (n, 4 n): Phi, Gamma_0, Gamma_m and Gamma_1 side by side, of what lies before. `a` (3, n, n) holds
-    the Jacobians at begin, middle and end of the whole step; flow is 0 where the current is imposed, whose equation is then
-    di/dt = 0 whatever the inductance.
+    Carried on is `over` (n, 4 n): Phi, Gamma_0, Gamma_m and Gamma_1 side by side, of what lies before. `a` (3, n, n + 1)
+    holds the Jacobians at begin, middle and end of the whole step, and beside them what each balance has of a unit more (of
+    a volt, L over the inductance as it is); flow is 0 where the current is imposed, whose equation is then di/dt = 0
+    whatever the inductance.
     """
     n = system.of_motor
     lines = _masses(system)
@@ -235,8 +236,9 @@ def propagate(
         if to.matrices.size > 0:
             # Forcings of the three balances that run from one to zero over the sample, and from zero to one.
             for c in range(3):
-                first = over[r, n + c] + 0.5 * over[r, 2 * n + c]
-                last = over[r, 3 * n + c] + 0.5 * over[r, 2 * n + c]
+                middle = 0.5 * over[r, 2 * n + c] * a[1, c, n]
+                first = over[r, n + c] * a[0, c, n] + middle
+                last = over[r, 3 * n + c] * a[2, c, n] + middle
                 T[r, columns - 6 + c] += (1.0 - begin) * first + (1.0 - end) * last
                 T[r, columns - 3 + c] += begin * first + end * last
     for r in range(n):
