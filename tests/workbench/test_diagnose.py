@@ -28,6 +28,7 @@ from motorlens_runtime.cli import main
 from motorlens_workbench.contest import contest
 from motorlens_workbench.contest.entering import Step
 from motorlens_workbench.diagnose import Finding, diagnose
+from motorlens_workbench.hypotheses.contact import Contact
 from motorlens_workbench.report.json import sentence, to_json, to_text
 from motorlens_workbench.verdict import measured, settle
 
@@ -314,6 +315,32 @@ def test_beside_two_names_that_are_true_nothing_is_told_at_ten_bits(tmp_path, ca
     hidden = {effect["name"] for effect in made.truth["hidden"]}
     groups = settle(found).groups
     assert len(groups) == len(hidden) and all(hidden & set(group) for group in groups)
+
+
+@pytest.mark.long
+@pytest.mark.blind
+@pytest.mark.parametrize("case", ["dev-3416", "dev-3486"])
+def test_both_of_two_are_told(tmp_path, case):
+    """A friction forwards beside a lag, told as Coulomb's; a gain of the voltage through iron that saturates."""
+    made = known(case, tmp_path)
+    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    groups = settle(found).groups
+    assert len(groups) == 2
+    for effect in made.truth["hidden"]:
+        assert any(
+            set(group) <= {effect["name"], *effect["group"]} and effect["name"] in group for group in groups
+        )
+
+
+@pytest.mark.long
+@pytest.mark.blind
+def test_a_loose_contact_of_a_noisy_slow_recording_is_told_as_one(tmp_path):
+    """Where another cooling had been told."""
+    made = known("dev-3206", tmp_path)
+    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    verdict = settle(found)
+    assert (verdict.kind, verdict.equation, verdict.chosen) == ("unknown", "electrical", ())
+    assert verdict.shape is not None and isinstance(verdict.shape.entry.shape, Contact)
 
 
 @pytest.mark.long

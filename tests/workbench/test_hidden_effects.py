@@ -110,7 +110,20 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
     [
         (800, ("dev-0061", "dev-0420", "dev-0633")),
         (2400, ("dev-1794",)),
-        (3600, ("dev-3246", "dev-3305", "dev-3306", "dev-3438", "dev-3492", "dev-3531")),
+        (
+            3600,
+            (
+                "dev-3206",
+                "dev-3246",
+                "dev-3305",
+                "dev-3306",
+                "dev-3416",
+                "dev-3438",
+                "dev-3486",
+                "dev-3492",
+                "dev-3531",
+            ),
+        ),
     ],
 )
 def test_the_cases_of_other_tests_are_those_of_the_plan(
