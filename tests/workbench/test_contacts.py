@@ -25,22 +25,30 @@ def spells(rng, share, mean_s=0.03):
     return bad
 
 
-def contact(resistance=1.0, spikes_V=0.0, noise=1.0):
+def recorded(name, resistance, spikes_V, noise):
     rng = np.random.default_rng(8)
     voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 800), 800)
     load = np.repeat(rng.uniform(-8, 8, N // 400), 400)
     current, speed = drive(voltage, load, DT, resistance=resistance)
     struck = rng.random(N) < 0.02
-    shown = voltage + spikes_V * struck * np.sign(rng.standard_normal(N))
     channels = {
-        "voltage": shown,
+        "voltage": voltage + spikes_V * struck * np.sign(rng.standard_normal(N)),
         "load_torque": load,
         "current": current + 0.05 * noise * rng.standard_normal(N),
         "speed": speed + 0.5 * noise * rng.standard_normal(N),
     }
+    return Recording(name, np.arange(N) * DT, channels)
+
+
+def lines(*resistances, spikes_V=0.0, noise=1.0):
     file = read_motor_file(MOTOR)
-    found = estimate(file, (prepare(Recording("bench", np.arange(N) * DT, channels), file),))
-    return contacts([Line.of(found.fit.model, found.runs[0], 0, found.fit.prior.keys)])
+    runs = (recorded(f"run {r}", one, spikes_V, noise) for r, one in enumerate(resistances))
+    found = estimate(file, tuple(prepare(run, file) for run in runs))
+    return [Line.of(found.fit.model, run, r, found.fit.prior.keys) for r, run in enumerate(found.runs)]
+
+
+def contact(resistance=1.0, **shares):
+    return contacts(lines(resistance, **shares))
 
 
 @pytest.mark.fit
@@ -53,6 +61,20 @@ def test_spells_are_found_with_their_size_and_share(more, share):
     # It is shown as it is: either bad or good.
     shown = shape.shown[1] / (more * textbook()["R_a0"])
     assert np.mean((shown > 0.25) & (shown < 0.6)) < 0.25
+
+
+@pytest.mark.fit
+def test_spells_of_several_recordings_count_together():
+    few = [
+        np.convolve(np.isin(np.arange(N), 900 + k + 1200 * np.arange(6)), np.ones(20))[:N] for k in (0, 400)
+    ]
+    both = lines(*(1.0 + bad for bad in few))
+    assert all(contacts([one]) == [] for one in both)
+    ((shape,),) = [one.shapes for one in contacts(both)]
+    assert [r for r, *_ in shape.missing] == [0, 1]
+    for (_, time, missing), bad in zip(shape.missing, few, strict=True):
+        lost = np.interp(np.arange(N) * DT, time, np.abs(missing))
+        assert np.sum(lost * bad) > 0.6 * np.sum(lost) > 0
 
 
 @pytest.mark.fit
