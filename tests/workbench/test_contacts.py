@@ -66,9 +66,9 @@ def test_spells_are_found_with_their_size_and_share(more, share):
 @pytest.mark.fit
 def test_spells_of_several_recordings_count_together():
     few = [
-        np.convolve(np.isin(np.arange(N), 900 + k + 1200 * np.arange(6)), np.ones(20))[:N] for k in (0, 400)
+        np.convolve(np.isin(np.arange(N), 900 + k + 1000 * np.arange(6)), np.ones(20))[:N] for k in (0, 400)
     ]
-    both = lines(*(1.0 + bad for bad in few))
+    both = lines(*(1.0 + 3.0 * bad for bad in few))
     assert all(contacts([one]) == [] for one in both)
     ((shape,),) = [one.shapes for one in contacts(both)]
     assert [r for r, *_ in shape.missing] == [0, 1]

@@ -32,9 +32,9 @@ STEADY, KEPT = 10, 0.05
 LEAST = 8
 # Degrees of freedom of Student's t that what is left follows: a model that is a little wrong has longer tails than noise.
 FREEDOM = 4.0
-# The fit of a mixture begins at the likeliest of these sizes, in standard deviations, and at this share of samples that are
-# other than the rest; it ends once a step wins less than this, or after so many, with a share within these.
-BEGIN, SHARE, WINS, STEPS, SHARES = np.geomspace(1.0, 1000.0, 16), 0.1, 1e-3, 200, (1e-4, 0.5)
+# The fit of a mixture begins at the likeliest of these sizes, in standard deviations, and shares of samples that are other
+# than the rest; it ends once a step wins less than this, or after so many, with a share within these.
+BEGIN, OFTEN, WINS, STEPS, SHARES = np.geomspace(1.0, 1000.0, 16), (0.1, 0.01, 0.001), 1e-3, 200, (1e-4, 0.5)
 # Share of the effective current from which on a bad contact shows, and samples of the stretch of time that is shown.
 CARRIES, SHOWN = 0.3, 80
 # Bound of Huber's weights, standard deviations, and how often they are renewed.
@@ -224,7 +224,8 @@ def _mixture(drop: Array, scale: Array, forms: Sequence[Array]) -> _Mixture:
         return np.exp(each - apart), np.exp(there - total), total - usual
 
     sizes = BEGIN / np.sqrt(np.mean((forms[0] / scale) ** 2))
-    size, share = float(max(sizes, key=lambda size: float(np.sum(parts(size, SHARE)[2])))), SHARE
+    begins = ((float(size), share) for size in sizes for share in OFTEN)
+    size, share = max(begins, key=lambda begin: float(np.sum(parts(*begin)[2])))
     wins = -np.inf
     for _ in range(STEPS):
         which, other, each = parts(size, share)
