@@ -2,10 +2,10 @@
 
 While a contact is bad the electrical equation lacks a voltage that goes with the current, always on the side of more
 resistance; noise lies on both sides alike, and spikes of a sensor do not go with the current. So what robust fits of the run
-and of each stretch of it (Huber 1964, doi:10.1214/aoms/1177703732) leave is taken for a mixture of two: samples without and
-samples with one resistance more
-(expectation maximisation, Dempster, Laird & Rubin 1977, doi:10.1111/j.2517-6161.1977.tb01600.x).
-It is a contact where that is likelier than the same of anything else that comes and goes.
+and of each stretch of it (Huber 1964, doi:10.1214/aoms/1177703732) leave is taken for a mixture of samples without and
+samples with one resistance more (expectation maximisation, Dempster, Laird and Rubin 1977,
+doi:10.1111/j.2517-6161.1977.tb01600.x). It is a contact where that is likelier than a mixture with anything else that comes
+and goes.
 """
 
 from collections.abc import Sequence
