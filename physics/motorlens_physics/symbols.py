@@ -190,6 +190,8 @@ def _sharpened(effect: Effect) -> Effect:
 
 
 def _sharp(torque: Any, w: Any) -> Any:
+    """A torque of full size to a `SIDE`, whatever the speed w within which it builds up."""
+
     def turns(term: Any) -> bool:
         return isinstance(term, sp.tanh) and term.has(w) and term.args[0].subs(w, 0) == 0
 

@@ -109,15 +109,6 @@ def test_a_run_too_short_says_nothing(samples):
     assert contacts([Line.of(start_model(file, [run]), run, 0, ())]) == []
 
 
-@pytest.mark.parametrize("moves", [0, 2000, 4000])
-def test_what_neither_moves_nor_is_noisy_says_nothing(moves):
-    time = np.arange(4000) * DT
-    y = np.where(np.arange(4000) < moves, np.sin(2 * time), 0.0)
-    file = read_motor_file(MOTOR)
-    run = prepare(Recording("rests", time, dict.fromkeys(("voltage", "current", "speed"), y)), file)
-    assert contacts([Line.of(start_model(file, [run]), run, 0, ())]) == []
-
-
 def test_a_robust_fit_ignores_what_stands_out():
     rng = np.random.default_rng(5)
     terms = np.column_stack([np.ones(400), rng.standard_normal(400)])

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.hidden import known
+from helpers.hidden import Generated, known
 
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.estimate.calibrate import calibrate
@@ -129,12 +129,17 @@ def test_where_a_parameter_makes_up_for_what_is_missing_or_the_file_is_wrong_not
         )
 
 
+def answered(case: str, directory: Path) -> tuple[Generated, Finding]:
+    """A case of another's plant, and what is found out of its recordings."""
+    made = known(case, directory)
+    return made, diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+
+
 @pytest.mark.long
 @pytest.mark.fit
 def test_an_effect_of_which_only_a_product_is_told_is_named(tmp_path):
     """Of another plant: how wide the gap of a coasting bridge is, or how high its supply, its voltage alone does not say."""
-    made = known("dev-0420", tmp_path)
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    made, found = answered("dev-0420", tmp_path)
     (one,) = found.outcome.accepted
     size, sd = measured(found, one)
     assert abs(size) < 1.96 * sd
@@ -283,9 +288,8 @@ def test_a_model_that_leaves_what_is_correlated_is_not_adequate(tmp_path, monkey
     """A magnet that loses a fortieth halfway: parameters bend until nothing stands out, but what is left is no noise."""
     # Estimating anew with each of thirty names takes minutes here, and finds none (`test_contest.py` has that it is tried).
     monkeypatch.setattr(contest, "enter_anew", lambda *of: Step())
-    made = known("dev-0633", tmp_path)
+    made, found = answered("dev-0633", tmp_path)
     assert [hidden["name"] for hidden in made.truth["hidden"]] == ["demagnetisation_step"]
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
     verdict = settle(found)
     assert (verdict.kind, verdict.equation) == ("unknown", "coupling")
     assert any("correlated as no noise" in sentence for sentence in verdict.untold)
@@ -296,8 +300,7 @@ def test_a_model_that_leaves_what_is_correlated_is_not_adequate(tmp_path, monkey
 @pytest.mark.parametrize(("case", "part"), [("dev-1794", False), ("dev-2565", True)])
 def test_a_name_that_explains_less_than_what_remains_is_no_more_than_a_part(tmp_path, case, part):
     """The backlash of a shaft, for which an armature reaction or the lag of a sensor makes up by a part of the error."""
-    made = known(case, tmp_path)
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    _, found = answered(case, tmp_path)
     verdict = settle(found)
     assert (verdict.kind, verdict.equation) == ("unknown", "mechanical")
     assert bool(verdict.chosen) == part
@@ -310,8 +313,7 @@ def test_a_name_that_explains_less_than_what_remains_is_no_more_than_a_part(tmp_
 @pytest.mark.parametrize("case", ["dev-3305", "dev-3306"])
 def test_beside_two_names_that_are_true_nothing_is_told_at_ten_bits(tmp_path, case):
     """A cogging torque, which a torque that nobody measured does as well but for little; a drag, where nothing dithers."""
-    made = known(case, tmp_path)
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    made, found = answered(case, tmp_path)
     hidden = {effect["name"] for effect in made.truth["hidden"]}
     groups = settle(found).groups
     assert len(groups) == len(hidden) and all(hidden & set(group) for group in groups)
@@ -322,8 +324,7 @@ def test_beside_two_names_that_are_true_nothing_is_told_at_ten_bits(tmp_path, ca
 @pytest.mark.parametrize("case", ["dev-3416", "dev-3486"])
 def test_both_of_two_are_told(tmp_path, case):
     """A friction forwards beside a lag, told as Coulomb's; a gain of the voltage through iron that saturates."""
-    made = known(case, tmp_path)
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    made, found = answered(case, tmp_path)
     groups = settle(found).groups
     assert len(groups) == 2
     for effect in made.truth["hidden"]:
@@ -336,8 +337,7 @@ def test_both_of_two_are_told(tmp_path, case):
 @pytest.mark.blind
 def test_a_loose_contact_of_a_noisy_slow_recording_is_told_as_one(tmp_path):
     """Where another cooling had been told."""
-    made = known("dev-3206", tmp_path)
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    _, found = answered("dev-3206", tmp_path)
     verdict = settle(found)
     assert (verdict.kind, verdict.equation, verdict.chosen) == ("unknown", "electrical", ())
     assert verdict.shape is not None and isinstance(verdict.shape.entry.shape, Contact)
@@ -355,8 +355,7 @@ def test_a_loose_contact_of_a_noisy_slow_recording_is_told_as_one(tmp_path):
 )
 def test_no_group_is_told_that_holds_nothing_of_what_is_hidden(tmp_path, case):
     """A hysteresis, for which a Stribeck friction of free sharpness stood; and an offset of a coarse voltage."""
-    made = known(case, tmp_path)
-    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    made, found = answered(case, tmp_path)
     hidden = {effect["name"] for effect in made.truth["hidden"]}
     assert all(hidden & set(group) for group in settle(found).groups)
 

@@ -207,11 +207,10 @@ def _won(accepted: Sequence[Accepted]) -> float:
 
 def _equation_of(found: Finding, key: str) -> str | None:
     """Where a parameter of the motor stands, the textbook's or an effect's; None of one of a sensor."""
-    effects = {
-        one.name(): equation_of(type(one)) for one in found.outcome.last.fitted.model.file.motor.effects
-    }
-    textbook = {name: equation for name, (equation, _) in TEXTBOOK.items()}
-    return textbook.get(key) or effects.get(key.partition(".")[0])
+    if key in TEXTBOOK:
+        return TEXTBOOK[key][0]
+    effect = found.outcome.last.fitted.model.file.motor.effect(key.partition(".")[0])
+    return equation_of(type(effect)) if effect is not None else None
 
 
 def _names(found: Finding) -> list[str]:

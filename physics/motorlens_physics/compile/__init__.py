@@ -70,7 +70,8 @@ def source(system: System) -> str:
     rest: torque on a rotor at rest with the load's full share, that load, and stiction forwards and backwards; inputs at
         t + ahead.
     balance: right-hand sides of the electrical and the mechanical balance.
-    linear: Jacobian a (n, n) of the motor's own balances and forcings g (n, columns), the k-th going to column slots[k].
+    linear: a (n, n + 1), the Jacobian of the motor's own balances and what each has of a unit more, and forcings
+        g (n, columns), the k-th going to column slots[k].
     stiffness, transfer: see `variational`.
     propagate: nothing, in the place of `variational`.
     """

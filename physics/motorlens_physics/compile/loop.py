@@ -55,6 +55,7 @@ def breaks_away(rest: Any, x: Vector, p: Vector, t: float, u: Vector, ahead: flo
     """By how much the torque on a resting rotor exceeds what can hold it (N m), and which way it would turn."""
     with_load, load, forwards, backwards = rest(x, p, t, u, ahead)
     torque = with_load + load
+    # Where a friction to one side is less than none, nothing holds the rotor there.
     if torque > 0.0:
         return torque - abs(load) - max(forwards, 0.0), 1.0
     return -torque - abs(load) - max(backwards, 0.0), -1.0

@@ -45,8 +45,7 @@ class DirectionalFriction(Effect):
     )
 
     def torque(self, m: Any, x: Any, u: Any) -> Any:
-        turn = tanh(x.w / self.w_s)
-        return -self.tau_d * turn * (1 + turn) / 2
+        return -self.stiction(m, x, u) * tanh(x.w / self.w_s)
 
     def stiction(self, m: Any, x: Any, u: Any) -> Any:
         return self.tau_d * (1 + tanh(x.w / self.w_s)) / 2

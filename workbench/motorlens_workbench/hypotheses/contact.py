@@ -28,8 +28,6 @@ STRETCH, MOST = 60, 24
 # Filter times for which the voltage must have kept to this share of its effective value: where the motor has just been
 # driven elsewhere, what a sensor lags by goes with the current too.
 STEADY, KEPT = 10, 0.05
-# Share of the largest scatter below which there is none.
-NOTHING = 1e-9
 # How many spells there must be for it to come and go.
 LEAST = 8
 # Degrees of freedom of Student's t that what is left follows: a model that is a little wrong has longer tails than noise.
@@ -149,7 +147,7 @@ def contacts(lines: Sequence[Line]) -> list[Hypothesis]:
 
 def _lacking(line: Line) -> _Lacking | None:
     model, run = line.model, line.run
-    if not {"current", "speed"} <= {*run.channels} or not run.moves:
+    if not {"current", "speed"} <= {*run.channels}:
         return None
     # As short as a derivative of the current may be, there and back: what is slower would take several spells for one.
     tau = 0.5 * max(run.period_s, time_constants(model.file.motor).electrical_s)
@@ -178,9 +176,8 @@ def _lacking(line: Line) -> _Lacking | None:
         beyond, scale = robust(current[stretch, None], drop[stretch])
         parts.append(np.column_stack([stretch, beyond, np.full(len(stretch), scale)]))
     used, beyond, scales = np.concatenate(parts).T
-    # A stretch in which nothing scatters, for it is at rest and without noise, tells nothing.
-    alive = scales > NOTHING * np.max(scales)
-    at, beyond, scales = used[alive].astype(int), beyond[alive], scales[alive]
+    at = used.astype(int)
+    # Where no current flows, no resistance shows.
     if steady[at].sum() < STRETCH or not current[at][steady[at]].any():
         return None
     return _Lacking(line, time[at], current[at], beyond, scales, steady[at])
