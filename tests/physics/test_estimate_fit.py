@@ -125,6 +125,26 @@ def test_a_step_that_is_refused_turns_into_the_valley() -> None:
     assert len(tried) < 20
 
 
+@pytest.mark.parametrize(
+    ("errors", "begin", "best", "most"),
+    [
+        # What cools at rest and what a fan adds to it are told well together, in their product.
+        (lambda at: np.array([1000 * (at[0] * at[1] - 1), at[0] - 10]), (0.1, 10.0), (10.0, 0.1), 300),
+        (lambda at: np.array([100 * (at[1] - at[0] ** 3), 1 - at[0]]), (-3.0, -27.0), (1.0, 1.0), 300),
+    ],
+    ids=["product", "cubic"],
+)
+def test_a_long_valley_is_followed_without_trying_what_has_just_been_refused(
+    errors: Callable[[Array], Array], begin: tuple[float, float], best: tuple[float, float], most: int
+) -> None:
+    """With damping ten times less after every step that was taken, 399 and 499 points are looked at, the last in vain."""
+    valley = Problem(errors, begin)
+    end, left, tried = searched(valley, prior_of((-FREE, FREE), (-FREE, FREE)))
+    assert left < 1e-3
+    assert end.at == pytest.approx(best, rel=1e-4)
+    assert len(tried) < most
+
+
 def test_once_a_step_is_refused_sensitivities_are_asked_for_only_where_the_next_one_costs_less() -> None:
     # Newton's steps towards the root of an arc tangent lead farther and farther away from beyond 1.39.
     far = Problem(np.arctan, (8.0,))

@@ -104,6 +104,27 @@ def test_what_is_correlated_as_no_noise_is_estimated_anew_with_names_before_it_i
     assert equations == tried
 
 
+def test_no_name_is_estimated_twice_from_the_beginning_beside_the_same_names(monkeypatch):
+    """Where that leads does not depend on where the model without it stands."""
+    rest = SimpleNamespace(entry=SimpleNamespace(hypothesis=SimpleNamespace(equation="thermal")))
+    here = SimpleNamespace(
+        rest=rest, book=SimpleNamespace(colour=0.0), times_noise=9.0, challengers=(), null=None, scores=()
+    )
+    steps = iter([Step(standing=here, estimated=("radiation", "iron_core")), Step()])
+    before = []
+
+    def enter_anew(here, equation, estimated, *rest):
+        before.append(tuple(estimated))
+        return next(steps)
+
+    monkeypatch.setattr(contest_module, "stand", lambda base, own: here)
+    monkeypatch.setattr(contest_module, "enter_anew", enter_anew)
+    for name in ("beyond_chance", "promising"):
+        monkeypatch.setattr(contest_module, name, lambda *of: [])
+    contest_module.contest(SimpleNamespace(runs=[SimpleNamespace(moves=True)]))  # type: ignore[arg-type]
+    assert before == [(), ("radiation", "iron_core")]
+
+
 @pytest.mark.parametrize(
     ("scale", "named", "least", "most"),
     [(0.8, True, 1e-5, 1e-4), (0.8, False, 1e-9, 1e-8), (0.3, True, 1e-5, 1e-4), (0.3, False, 1e-5, 1e-4)],

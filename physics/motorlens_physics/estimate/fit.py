@@ -22,8 +22,10 @@ from motorlens_runtime.errors import ModelError
 
 Array = NDArray[np.float64]
 
-# Damping is tried this often before a fit is taken to be at its end, each ten times the last.
+# Damping is tried this often before a fit is taken to be at its end, each ten times the last. It falls by as much after a
+# step that was taken at once, by less after one that had to turn, and not at all where less of it has just been refused.
 TRIES = 8
+TURNED = 3.0
 # A step that is refused is tried again along a curve that turns away by at most this share of its length.
 TURN = 0.5
 # Nothing that can only be positive falls to less than this share of itself in one step: at its bound a linear step would
@@ -173,11 +175,12 @@ def minimise(
             left = _length(whole, gram)
         before = point, gram, left
         share = _share(share, last, whole, gram)
-        moved, fresh = False, False
+        moved, fresh, refused, straight = False, False, False, True
         for attempt in range(TRIES):
             step = share * _step(point.model.values(), prior, gram, gradient, damping)
             trial, reached = tried(step, again=attempt > 0 and left >= FLAT)
-            if trial is not None and reached >= cost and left >= FLAT:
+            straight = trial is None or reached < cost or left < FLAT
+            if trial is not None and not straight:
                 turned = _turned(step, point, trial, prior, gram, gradient, damping)
                 # A curve that ends soon bends too much to be known from as far away as that.
                 half = (
@@ -196,12 +199,13 @@ def minimise(
                     seen, (gram, gradient, cost, whole) = point, _seen(point, prior)
                     left = _length(whole, gram)
                     continue
-            damping = max(damping * 10, 1e-4)
+            damping, refused = max(damping * 10, 1e-4), True
             if _length(step, gram) < enough:
                 break
         if not moved:
             break
-        damping = max(damping / 10, 1e-9)
+        if not refused:
+            damping = max(damping / (10 if straight else TURNED), 1e-9)
         progress(f"step {k + 1}: {left:.3g} standard deviations to go")
     return point, _as_stated(gram, seen, prior), left
 

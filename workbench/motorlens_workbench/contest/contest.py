@@ -114,8 +114,10 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
         estimated += step.estimated
         judged, attempts = heaviest((judged, attempts), (step.judged, step.attempts))
         if step.standing is not None:
-            here, refused, estimated, entered = step.standing, [], [], entered + 1
+            here, refused, entered = step.standing, [], entered + 1
             if step.accepted is not None:
+                # Where estimates from the beginning lead does not depend on where the same model stands.
+                estimated = []
                 accepted.append(step.accepted)
                 here, accepted = _needed(here, accepted, own, say)
         elif not (step.refused or step.estimated):
