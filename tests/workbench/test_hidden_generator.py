@@ -79,6 +79,35 @@ def test_order_of_convergence_is_three() -> None:
     assert 6.5 < coarse / middle < 9.5 and 6.5 < middle / fine < 9.5
 
 
+@pytest.mark.parametrize(
+    ("name", "size", "shape", "few"),
+    [
+        ("commutation_ripple", 0.03, {"ripple_N": 6.0, "ripple_p": 0.4}, 0.1),
+        ("cogging_torque", 0.0005, {"cog_N": 12.0, "cog_p": 0.4}, 0.003),
+        ("unbalance_torque", 0.0005, {}, 0.0),
+    ],
+)
+def test_what_goes_with_the_angle_is_followed_as_fast_as_a_shaft_turns(
+    monkeypatch: pytest.MonkeyPatch, name: str, size: float, shape: dict[str, float], few: float
+) -> None:
+    """Against steps that are much shorter: a ripple of 650 Hz had been integrated in steps of half a millisecond."""
+    case = world.Case(id="ripple", seed=4, motor="gear_12V", kind="single", records="fast", small=True)
+    (record,) = world.records_of(case)
+
+    def current(hidden: list[world.Sized], steps: int | None) -> np.ndarray:
+        with monkeypatch.context() as here:
+            if steps is not None:
+                here.setattr(world, "substeps", lambda *of: steps)
+            states, inputs = world.run_truth(case, record, world.specimen(case), hidden)
+        return states[:: (len(states) - 1) // (len(inputs) - 1), plant.I]
+
+    hidden = [world.Sized(name, size, shape)]
+    exact = current(hidden, 160)
+    of_it = float(np.std(exact - current([], 160)))
+    assert np.std(current(hidden, None) - exact) < 0.001 * of_it
+    assert np.std(current(hidden, 4) - exact) >= few * of_it
+
+
 def test_a_rotor_stops_when_closed_form_says_and_stays() -> None:
     tau_c, j, b = 0.02, MOTOR.textbook["J"], MOTOR.textbook["b"]
     p = plant.vector(**(MOTOR.textbook | {"ke": 1e-9}), tau_c=tau_c)

@@ -210,7 +210,7 @@ def _floor(case: Case, sized: list[Sized], written: list[Written]) -> dict[str, 
             reference=None,
         )
         p, driven = build(case, replace(record, drive=seen), specimen(case), physics)
-        states = plant.simulate(seen.dt, driven, record.start, p, substeps(case, record))
+        states = plant.simulate(seen.dt, driven, record.start, p, substeps(case, record, sized))
         ideal = true_channels(case, record, states, driven)
         for name in OUTPUTS:
             if name in shown:
