@@ -89,6 +89,7 @@ def test_by_calibration_beside_the_resistance(name):
         assert 1e-6 * true < found.sd[parameter] < 0.1 * true
 
 
+@pytest.mark.long
 @pytest.mark.fit
 @pytest.mark.xfail(
     strict=True, reason="the speed at which it has built up is stated, and too large for a rotor that sticks"
