@@ -175,7 +175,7 @@ def minimise(
             left = _length(whole, gram)
         before = point, gram, left
         share = _share(share, last, whole, gram)
-        moved, fresh, refused, straight = False, False, False, True
+        moved, fresh, refused = False, False, False
         for attempt in range(TRIES):
             step = share * _step(point.model.values(), prior, gram, gradient, damping)
             trial, reached = tried(step, again=attempt > 0 and left >= FLAT)
