@@ -38,31 +38,32 @@ def fitted(
     remains: float,
     lost: float = 0.0,
     until: int = SAMPLES,
+    samples: int = SAMPLES,
 ) -> Estimate:
     """A motor of which all sensors are noisy, as shares of rated values; of coloured noise a share `remains` each sample.
 
     Its magnet has `lost` a share from the middle on; noise is coloured `until` a sample.
     """
     rng = np.random.default_rng(23)
-    volts = np.repeat(RATED["voltage"] * rng.uniform(-0.3, 0.3, SAMPLES // 150), 150)
-    load = np.repeat(RATED["load_torque"] * rng.uniform(0.0, 0.2, SAMPLES // 150), 150) * np.sign(volts)
-    test = plain_motor.Test(PERIOD_S, SAMPLES, 150, True, 0.0)
+    volts = np.repeat(RATED["voltage"] * rng.uniform(-0.3, 0.3, samples // 150), 150)
+    load = np.repeat(RATED["load_torque"] * rng.uniform(0.0, 0.2, samples // 150), 150) * np.sign(volts)
+    test = plain_motor.Test(PERIOD_S, samples, 150, True, 0.0)
     states = plain_motor.simulated(motor, volts, load, test)
     weaker = plain_motor.simulated({**motor, "ke": (1 - lost) * motor["ke"]}, volts, load, test)
-    states[SAMPLES // 2 :] = weaker[SAMPLES // 2 :]
+    states[samples // 2 :] = weaker[samples // 2 :]
     shown = dict(zip(CHANNELS, (volts, load, states[:, 0], states[:, 1]), strict=True))
     for channel, y in shown.items():
-        drift = lfilter([np.sqrt(1 - remains**2)], [1.0, -remains], rng.standard_normal(SAMPLES))
+        drift = lfilter([np.sqrt(1 - remains**2)], [1.0, -remains], rng.standard_normal(samples))
         drift[until:] = 0.0
-        shown[channel] = y + RATED[channel] * (white * rng.standard_normal(SAMPLES) + coloured * drift)
+        shown[channel] = y + RATED[channel] * (white * rng.standard_normal(samples) + coloured * drift)
     file = MotorFile("plate", Motor(), PLATE)
-    return estimate(file, prepare_all([Recording("drifting", PERIOD_S * np.arange(SAMPLES), shown)], file))
+    return estimate(file, prepare_all([Recording("drifting", PERIOD_S * np.arange(samples), shown)], file))
 
 
 @pytest.mark.fit
 def test_coloured_noise_is_found_beside_white_noise_and_the_motor_is_told() -> None:
     motor = {**TYPICAL, "ke": 0.9 * TYPICAL["ke"], "R_a0": 1.15 * TYPICAL["R_a0"], "J": 0.85 * TYPICAL["J"]}
-    found = fitted(motor, white=0.005, coloured=0.01, remains=0.96)
+    found = fitted(motor, white=0.005, coloured=0.01, remains=0.96, samples=SAMPLES // 2)
     noise = found.runs[0].noise
     assert noise is not None
     # All noise of the voltage, and the two of the speed; a load's and a current's show alike where a motor follows so soon.

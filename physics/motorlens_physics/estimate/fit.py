@@ -22,9 +22,10 @@ from motorlens_runtime.errors import ModelError
 
 Array = NDArray[np.float64]
 
-# Damping is tried this often before a fit is taken to be at its end, each ten times the last. It falls by as much after a
-# step that was taken at once, by less after one that had to turn, and not at all where less of it has just been refused.
+# Damping is tried this often before a fit is taken to be at its end, each ten times the last.
 TRIES = 8
+# It falls by as much after a step that was taken at once, by this after one that had to turn, and not at all where less of
+# it has just been refused.
 TURNED = 3.0
 # A step that is refused is tried again along a curve that turns away by at most this share of its length.
 TURN = 0.5
@@ -179,8 +180,9 @@ def minimise(
         for attempt in range(TRIES):
             step = share * _step(point.model.values(), prior, gram, gradient, damping)
             trial, reached = tried(step, again=attempt > 0 and left >= FLAT)
-            straight = trial is None or reached < cost or left < FLAT
-            if trial is not None and not straight:
+            straight = True
+            if trial is not None and reached >= cost and left >= FLAT:
+                straight = False
                 turned = _turned(step, point, trial, prior, gram, gradient, damping)
                 # A curve that ends soon bends too much to be known from as far away as that.
                 half = (

@@ -116,7 +116,7 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
         if step.standing is not None:
             here, refused, entered = step.standing, [], entered + 1
             if step.accepted is not None:
-                # Where estimates from the beginning lead does not depend on where the same model stands.
+                # Only beside another name do estimates from the beginning lead elsewhere.
                 estimated = []
                 accepted.append(step.accepted)
                 here, accepted = _needed(here, accepted, own, say)
