@@ -2,6 +2,7 @@
 
 import ast
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,9 +83,9 @@ def test_order_of_convergence_is_three() -> None:
 @pytest.mark.parametrize(
     ("name", "size", "shape", "left", "left_by_four"),
     [
-        ("commutation_ripple", 0.03, {"ripple_N": 6.0, "ripple_p": 0.4}, 0.001, 0.1),
-        ("cogging_torque", 0.0005, {"cog_N": 12.0, "cog_p": 0.4}, 0.0001, 0.003),
-        ("unbalance_torque", 0.0005, {}, 0.0004, 0.0006),
+        ("commutation_ripple", 0.03, {"ripple_N": 6.0, "ripple_p": 0.4}, 0.0003, 0.04),
+        ("cogging_torque", 0.0005, {"cog_N": 12.0, "cog_p": 0.4}, 0.0001, 0.1),
+        ("unbalance_torque", 0.0005, {}, 0.015, 0.02),
     ],
 )
 def test_what_goes_with_the_angle_is_followed_as_fast_as_a_shaft_turns(
@@ -98,6 +99,10 @@ def test_what_goes_with_the_angle_is_followed_as_fast_as_a_shaft_turns(
     """Against steps that are much shorter, as a share of what it does: four steps a sample are too few for a ripple."""
     case = world.Case(id="ripple", seed=4, motor="gear_12V", kind="single", records="fast", small=True)
     (record,) = world.records_of(case)
+    few = slice(3500, 5000)  # in which it turns fastest
+    assert record.drive.reference is None
+    drive = replace(record.drive, voltage=record.drive.voltage[few], load=record.drive.load[few])
+    record = replace(record, drive=drive, disturbance=record.disturbance[few])
 
     def current(hidden: list[world.Sized], steps: int | None) -> np.ndarray:
         with monkeypatch.context() as here:
