@@ -163,7 +163,7 @@ class Item:
         return name == self._mark
 
 
-def test_each_worker_begins_with_its_share_of_what_is_long_and_files_stay_together() -> None:
+def test_one_worker_begins_with_what_is_long_the_others_with_what_is_quick_and_files_stay_together() -> None:
     items = [Item("blind.py", k, "blind") for k in range(7)]
     for name, fits in (("a", 30), ("b", 20), ("c", 12), ("d", 0), ("e", 0)):
         items += [Item(f"{name}.py", k, "fit" if k < fits else None) for k in range(40)]
@@ -173,11 +173,14 @@ def test_each_worker_begins_with_its_share_of_what_is_long_and_files_stay_togeth
     assert {id(item) for share in shares for item in share} == {id(item) for item in items}
     blind = [[item.number for item in share if item.path == "blind.py"] for share in shares]
     assert sorted(map(len, blind)) == [2, 2, 3]
+    begins = [[item.path for item in share].index("blind.py") for share in shares]
+    assert begins == [0, *(sum(item.path in ("d.py", "e.py") for item in share) for share in shares[1:])]
     assert all(
-        share[k].path == "blind.py"
-        for share, cases in zip(shares, blind, strict=True)
+        share[begin + k].path == "blind.py"
+        for share, begin, cases in zip(shares, begins, blind, strict=True)
         for k in range(len(cases))
     )
+    assert min(begins[1:]) > 10
     fits = [[item.path for item in share if item.get_closest_marker("fit")] for share in shares]
     assert sorted(map(len, fits)) == [12, 20, 30]
     for share in shares:

@@ -7,8 +7,9 @@ TIERS = {"fit": 1, "blind": 20, "long": 40}
 
 
 def dealt(items: list[pytest.Item], workers: int) -> list[list[pytest.Item]]:
-    """One share of the tests for each worker, the long ones first: of `blind` cases each may go to another worker, of `fit`
-    tests a file stays together, for its fixtures.
+    """One share of the tests for each worker, the long ones early: of `blind` cases each may go to another worker, of `fit`
+    tests a file stays together, for its fixtures. The first worker begins with them, and compiles what all of them need;
+    the others begin with what is quick, where they would only wait for it.
 
     Pytest-xdist (worksteal) gives each worker as many tests, one after the other as they were collected; and who has nothing
     left takes the last half of what another has to do, never what comes next.
@@ -28,9 +29,9 @@ def dealt(items: list[pytest.Item], workers: int) -> list[list[pytest.Item]]:
         to = min(roomy, key=costs.__getitem__)
         shares[to] += group
         costs[to] += cost
-    for its, size in zip(shares, sizes, strict=True):
-        missing = size - len(its)
-        its += quick[:missing]
+    for k, size in enumerate(sizes):
+        missing = size - len(shares[k])
+        shares[k] = shares[k] + quick[:missing] if k == 0 else quick[:missing] + shares[k]
         del quick[:missing]
     return shares
 

@@ -91,7 +91,7 @@ def test_what_a_motor_answers_within_a_sample_is_no_spike() -> None:
 
 
 @pytest.mark.fit
-@pytest.mark.parametrize("dwell", [1, 4])
+@pytest.mark.parametrize("dwell", [1, pytest.param(4, marks=pytest.mark.long)])
 def test_pulses_of_the_voltage_that_drove_the_motor_are_no_spikes(dwell: int) -> None:
     """However much the model is off: the load that the file does not know brakes, and its inductance is half."""
     time, channels = driven(0.002, 5, dwell)
