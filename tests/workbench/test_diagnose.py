@@ -183,6 +183,7 @@ class FrictionBump(Effect):
         return -self.A * exp(-(((turning(x.w) - self.w_b) / self.d) ** 2)) * tanh(x.w)
 
 
+@pytest.mark.long
 @pytest.mark.fit
 def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
     file = read_motor_file(MOTOR)
