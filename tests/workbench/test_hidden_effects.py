@@ -21,9 +21,9 @@ from motorlens_runtime.cli import main
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 
-# Of the sixty run a short one of what is in no catalogue and one with nothing missing, and, marked long, of every fifth those whose effect is strong enough to be
-# asked for, and another with nothing missing; `python benchmarks/hidden_effects.py run --split subset --n 60 --small` does them
-# all. The goals of the project are in the benchmark's table.
+# Of the sixty run one of what is in no catalogue and one with nothing missing, short ones; and, marked long, of every fifth
+# those whose effect is strong enough to be asked for, and another with nothing missing. All of them:
+# `python benchmarks/hidden_effects.py run --split subset --n 60 --small`. The project's goals are in the benchmark's table.
 SHORT = ("subset-0006", "subset-0052")
 # And some that take longer, marked so.
 LONGER = ("subset-0003", "subset-0004", "subset-0032")
