@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import czt
+from scipy.fft import next_fast_len, rfft
 
 from motorlens_physics.estimate.weighed import CHANCE, Errors
 
@@ -24,7 +24,7 @@ BESIDE = 0.1
 LOOKED_AT, LOOKED_AT_S, STEADY_S = 1 << 15, 60.0, 5.0
 # Steps of time that are uneven by more than this share are no even sampling.
 UNEVEN = 0.5
-# Frequencies looked at in one over the time that is looked at.
+# Frequencies looked at in one over the time that is looked at, at least.
 FINER = 4
 
 
@@ -64,19 +64,20 @@ def hum_of_channels(part: Errors) -> list[Hum]:
     shown = np.column_stack([white, *(y - np.mean(y) for y in drive)])
     least = np.append(np.ones(white.shape[1]), np.zeros(len(drive)) + 1e-12)
     found: list[Hum] = []
+    power, step_Hz = _power(shown, rate_Hz)
     for nominal in _apart((mains * harmonic for harmonic in HARMONICS for mains in MAINS_HZ), rate_Hz):
-        near, beside = _frequencies(nominal, len(white) / rate_Hz, rate_Hz)
-        if not near.size:
+        if not _told(nominal, len(white) / rate_Hz, rate_Hz):
             continue
-        lines, others = _power(shown, near, rate_Hz), _power(shown, beside, rate_Hz)
+        near, beside = (_multiples(nominal, share * nominal, step_Hz) for share in (WANDERS, BESIDE))
+        lines, others = (power[_sampled(one, rate_Hz / step_Hz)] for one in (near, beside))
         # What the line itself spreads to is none beside it.
-        others = others[np.abs(beside - nominal) > near[-1] - nominal + 2 * rate_Hz / len(white)]
+        others = others[np.abs(beside * step_Hz - nominal) > WANDERS * nominal + 2 * rate_Hz / len(white)]
         # Those beside are of noise, or of what the model lacks; the largest is what a line is measured by.
         told = np.max(lines, axis=0) / np.maximum(np.max(others, axis=0), least)
         least_told = np.log(len(near) * len(MAINS_HZ) * len(HARMONICS) * white.shape[1] / CHANCE)
         driven, c = told[white.shape[1] :], int(np.argmax(told[: white.shape[1]]))
         if told[c] > least_told and np.all(driven <= least_told):
-            frequency = float(near[np.argmax(lines[:, c])])
+            frequency = float(near[np.argmax(lines[:, c])] * step_Hz)
             found.append(Hum(run.channels[c], frequency, _line(part, c, frequency)))
     return found
 
@@ -100,22 +101,37 @@ def _folded(frequency_Hz: float, rate_Hz: float) -> float:
     return abs(frequency_Hz - rate_Hz * round(frequency_Hz / rate_Hz))
 
 
-def _frequencies(nominal: float, lasts_s: float, rate_Hz: float) -> tuple[Array, Array]:
-    """Those at which a line may be, and about it, evenly; none where it is folded to what lasts, or too little tells."""
-    wanders, wide = WANDERS * nominal, BESIDE * nominal
-    if wide * lasts_s < 10 or _folded(nominal, rate_Hz) < wide or rate_Hz < 2 * wide:
-        return np.zeros(0), np.zeros(0)
-    near = nominal + np.linspace(-wanders, wanders, 1 + 2 * int(np.ceil(FINER * wanders * lasts_s)))
-    return near, nominal + np.linspace(-wide, wide, 1 + 2 * int(np.ceil(wide * lasts_s)))
+def _told(nominal: float, lasts_s: float, rate_Hz: float) -> bool:
+    """Whether a line would be told: not where it is folded to what lasts, or too little is beside it."""
+    wide = BESIDE * nominal
+    return wide * lasts_s >= 10 and _folded(nominal, rate_Hz) >= wide and rate_Hz >= 2 * wide
 
 
-def _power(columns: Array, frequencies_Hz: Array, rate_Hz: float) -> Array:
-    """(F, C) of columns (N, C) at even frequencies (F,): 1 in the mean of white ones."""
-    turn = 2j * np.pi / rate_Hz
-    step, first = frequencies_Hz[1] - frequencies_Hz[0], frequencies_Hz[0]
-    spectrum = czt(columns, len(frequencies_Hz), np.exp(-turn * step), np.exp(turn * first), axis=0)
+def _multiples(about_Hz: float, within_Hz: float, step_Hz: float) -> NDArray[np.int64]:
+    """The multiples of a step that are within so far of a frequency.
+
+    >>> _multiples(50.0, 1.0, 0.4)
+    array([123, 124, 125, 126, 127])
+    """
+    first, last = np.ceil((about_Hz - within_Hz) / step_Hz), np.floor((about_Hz + within_Hz) / step_Hz)
+    return np.arange(int(first), int(last) + 1)
+
+
+def _sampled(multiples: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
+    """What frequencies are folded to, all as multiples of a step; so is the rate.
+
+    >>> _sampled(np.array([3, 7, 12, 19]), 10.0)
+    array([3, 3, 2, 1])
+    """
+    whole = round(rate)
+    return np.asarray(np.abs(multiples - whole * np.rint(multiples / whole).astype(np.int64)))
+
+
+def _power(columns: Array, rate_Hz: float) -> tuple[Array, float]:
+    """(F, C) of columns (N, C) at even frequencies from 0 on, 1 in the mean of white ones; and the step between these."""
+    samples = next_fast_len(FINER * len(columns), real=True)
     total = np.maximum(np.sum(columns**2, axis=0), 1e-300)
-    return np.asarray(np.abs(spectrum) ** 2 / total)
+    return np.abs(rfft(columns, samples, axis=0)) ** 2 / total, rate_Hz / samples
 
 
 def _line(part: Errors, c: int, frequency_Hz: float) -> Array:
