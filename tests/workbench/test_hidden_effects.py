@@ -21,12 +21,11 @@ from motorlens_runtime.cli import main
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 
-# Of the sixty run one of what is in no catalogue and one with nothing missing, short ones; and, marked long, of every fifth
-# those whose effect is strong enough to be asked for, and another with nothing missing. All of them:
+# Of the sixty run three short ones and, marked long, a pair and more: of every fifth those whose effect is strong enough to be
+# asked for, and one with nothing missing. All of them:
 # `python benchmarks/hidden_effects.py run --split subset --n 60 --small`. The project's goals are in the benchmark's table.
-SHORT = ("subset-0006", "subset-0052")
-# And some that take longer, marked so.
-LONGER = ("subset-0003", "subset-0004", "subset-0032")
+SHORT = ("subset-0004", "subset-0006", "subset-0052")
+LONGER = ("subset-0003", "subset-0032")
 SHARE = 5
 # What is amiss with the answers to these, by case, as last measured. A case that gets worse fails, and so does one that gets
 # better: then its line goes.
@@ -161,11 +160,13 @@ def test_a_case_never_tuned_on_is_answered_no_worse_and_no_better_than_is_writte
     assert _amiss(row) == AMISS.get(_name(truth), []), f"{verdict}"
 
 
-def test_the_short_ones_hold_every_kind_of_case() -> None:
+def test_the_short_ones_are_one_of_each_kind_and_a_pair_is_a_longer_one() -> None:
     rows = [(truth, None, 0.0) for truth in _short()]
     strong = [row[0]["kind"] for row in rows if scoring.strong(row)]
-    assert sorted(strong) == ["outside", "pair", "single"]
+    assert sorted(strong) == ["outside", "single"]
     assert [row[0]["kind"] for row in rows if row[0]["kind"] not in strong] == ["none"]
+    longer = [(truth, None, 0.0) for truth in _truths() if _name(truth) in LONGER]
+    assert "pair" in [row[0]["kind"] for row in longer if scoring.strong(row)]
 
 
 def test_the_few_hold_every_kind_of_case() -> None:
