@@ -21,8 +21,8 @@ from motorlens_runtime.cli import main
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 KEY = BENCHMARKS / "hidden_effects" / "subset-key.jsonl"
 
-# Of the sixty run three short ones and, marked long, a pair and more: of every fifth those whose effect is strong enough to be
-# asked for, and one with nothing missing. All of them:
+# Of the sixty run three short ones and, marked long, a pair and others: of every fifth those whose effect is strong enough
+# to be asked for, and one with nothing missing. All of them:
 # `python benchmarks/hidden_effects.py run --split subset --n 60 --small`. The project's goals are in the benchmark's table.
 SHORT = ("subset-0004", "subset-0006", "subset-0052")
 LONGER = ("subset-0003", "subset-0032")

@@ -31,6 +31,9 @@ from motorlens_physics.estimate.rows import lanes
 
 Array = NDArray[np.float64]
 
+# A row of states has as many at least: for the few recordings whose inputs have no noise it is not worth seconds to compile
+# the filter for a shorter one.
+SHORTEST = 8
 # What a filter that reads nothing writes.
 NOTHING = np.zeros((0, 0))
 
@@ -236,7 +239,7 @@ def _acting(space: StateSpace) -> tuple[StateSpace, NDArray[np.int64]]:
     After them as many that are silent as fill up a row of states, see `rows`: so the compiler knows how many there are.
     """
     acting = np.flatnonzero(space.variance)
-    silent = len(lanes(len(space.start) + len(acting))) - len(space.start) - len(acting)
+    silent = len(lanes(max(len(space.start) + len(acting), SHORTEST))) - len(space.start) - len(acting)
     # The last stands for -1: none.
     now_at = np.full(len(space.variance) + 1, -1)
     now_at[acting] = np.arange(len(acting))
