@@ -27,6 +27,7 @@ def diagnosed(paths, motor, columns=()):
     return found, settle(found)
 
 
+@pytest.mark.long
 @needs_recordings
 @pytest.mark.fit
 def test_a_drop_of_the_driver_is_among_what_a_wheel_motor_lacks():
