@@ -58,6 +58,21 @@ def test_the_overview_names_every_command_without_loading_what_is_heavy() -> Non
 
 
 @pytest.mark.fit
+def test_no_estimate_waits_for_what_it_does_not_need() -> None:
+    """A third of a second at each start: `scipy.signal` brings all of `scipy.stats`."""
+    probe = (
+        "import sys; from motorlens_workbench import diagnose, ladder; from motorlens_workbench.compare import comparison\n"
+        "assert 'scipy.optimize' in sys.modules\n"
+        "heavy = {'torch', 'scipy.signal', 'scipy.stats', 'scipy.interpolate', 'matplotlib', 'polars'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", probe], capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.fit
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
