@@ -201,7 +201,7 @@ class _Writer:
             if isinstance(statement, ast.Assign):
                 self._assign(statement.targets[0], self._value(statement.value, values), values)
             elif isinstance(statement, ast.AugAssign):
-                both = ast.BinOp(_as_value(statement.target), statement.op, statement.value)
+                both = ast.BinOp(statement.target, statement.op, statement.value)
                 self._assign(statement.target, self._value(both, values), values)
             elif not isinstance(statement, ast.Pass):
                 raise _unknown(statement)
@@ -357,10 +357,6 @@ class _Writer:
 
     def _load(self, array: _Array, k: int) -> Any:
         return self._builder.load(self._builder.gep(array.data, [ir.Constant(_INTEGER, k)], inbounds=True))
-
-
-def _as_value(target: ast.expr) -> ast.expr:
-    return ast.parse(ast.unparse(target), mode="eval").body
 
 
 def _joined(write: Callable[[Any, Any], Any], values: list[Any]) -> Any:
