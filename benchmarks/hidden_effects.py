@@ -6,6 +6,8 @@
     python benchmarks/hidden_effects.py baselines --split dev --n 400 -o DIR   PySINDy in three ways, AICc, whiteness
     python benchmarks/hidden_effects.py resolve DIR                         diagnoses again with the experiments proposed
     python benchmarks/hidden_effects.py score DIR                              opens the key, prints the rates
+    python benchmarks/hidden_effects.py keep DIR                               keeps the answers to cases that are new
+    python benchmarks/hidden_effects.py fresh                                  prints the rates of all that are kept
 
 The plan of a split follows from its seed; its SHA-256 was committed in hidden_effects/keys.sha256 before the diagnosing code
 was tuned. dev is for tuning; test is run once per release. `--small` draws another plan with short records (20 s at
@@ -166,12 +168,12 @@ def run(arguments: argparse.Namespace) -> None:
     answers = directory / "answers.jsonl"
     done = {row["id"] for row in read_lines(answers)}
     cases = [case for case in chosen(arguments) if case.id not in done]
-    begun = time.monotonic()
+    begun, by = time.monotonic(), {"commit": commit()}
     with answers.open("a", encoding="utf-8") as file:
         for number, row in enumerate(
             in_parallel(one, cases, arguments, str(directory), arguments.keep, arguments.limit), 1
         ):
-            file.write(json.dumps(row) + "\n")
+            file.write(json.dumps(row | by) + "\n")
             file.flush()
             left = (time.monotonic() - begun) / number * (len(cases) - number)
             verdict = (row["answer"] or {}).get("verdict", "failed")
@@ -179,6 +181,38 @@ def run(arguments: argparse.Namespace) -> None:
                 f"{number}/{len(cases)} {row['id']} {verdict} {row['seconds']:.0f} s, {left / 60:.0f} min left",
                 file=sys.stderr,
             )
+
+
+def commit() -> str:
+    """The commit that is checked out here, and whether files differ from it."""
+    words = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+    return subprocess.run(words, cwd=HERE, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def keep(arguments: argparse.Namespace) -> None:
+    """Add the answers of a directory to those that are kept."""
+    import fresh
+
+    directory, there = Path(arguments.directory), fresh.read()
+    answered = read_lines(directory / "answers.jsonl")
+    if subset := next((row["id"] for row in answered if row["id"].startswith("subset")), None):
+        raise SystemExit(f"{subset}: the subset is known to whoever works here; only fresh cases are kept")
+    truths = (json.loads((directory / "key" / f"{row['id']}.json").read_text("utf-8")) for row in answered)
+    both = fresh.together(there, map(fresh.short, truths, answered))
+    fresh.write(both)
+    print(f"{len(both) - len(there)} of {len(answered)} cases are new; {len(both)} are kept in {fresh.FILE}")
+
+
+def print_fresh() -> None:
+    """The table of rates of all fresh cases that are kept."""
+    import fresh
+
+    found = fresh.read()
+    commits = list(dict.fromkeys(one["commit"] for one in found))
+    print(f"{len(found)} fresh cases, each answered once, at {', '.join(commits)}\n")
+    compare({"diagnose": fresh.rows(found)})
+    spent = [one["cpu_seconds"] for one in found if "cpu_seconds" in one]
+    print(f"processor seconds a diagnosis: median {statistics.median(spent):.0f}, most {max(spent):.0f}")
 
 
 def in_parallel(
@@ -500,6 +534,8 @@ def main() -> None:
     action.add_argument("directory")
     action.add_argument("--strata", action="store_true", help="a line a stratum as well")
     action.add_argument("--failures", help="write the failing cases to this Markdown file")
+    actions.add_parser("keep").add_argument("directory")
+    actions.add_parser("fresh")
     action = actions.add_parser("resolve")
     action.add_argument("directory")
     action.add_argument("--limit", type=float, default=300.0, help="seconds a diagnosis may take")
@@ -519,6 +555,10 @@ def main() -> None:
         resolve(arguments)
     elif arguments.action == "score":
         print_score(arguments)
+    elif arguments.action == "keep":
+        keep(arguments)
+    elif arguments.action == "fresh":
+        print_fresh()
 
 
 if __name__ == "__main__":

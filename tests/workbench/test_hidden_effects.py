@@ -72,14 +72,20 @@ def _amiss(row: scoring.Row) -> list[str]:
 
 
 def _benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "hidden_effects_benchmark", BENCHMARKS / "hidden_effects.py"
-    )
+    return _module("hidden_effects_benchmark", BENCHMARKS / "hidden_effects.py")
+
+
+def _module(name: str, path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def _fresh() -> ModuleType:
+    return _module("fresh_cases", BENCHMARKS / "hidden_effects" / "fresh.py")
 
 
 def test_the_plans_are_those_that_were_sealed() -> None:
@@ -158,6 +164,32 @@ def test_a_case_never_tuned_on_is_answered_no_worse_and_no_better_than_is_writte
     row = _diagnosed(truth, tmp_path)
     verdict = {key: (row[1] or {}).get(key) for key in ("verdict", "chosen")}
     assert _amiss(row) == AMISS.get(_name(truth), []), f"{verdict}"
+    # What is kept of an answer scores as all of it does.
+    answered = {"id": _name(truth), "answer": row[1], "seconds": row[2], "commit": "0" * 7}
+    again = _fresh().rows([json.loads(json.dumps(_fresh().short(truth, answered)))])
+    assert scoring.summary(again) == scoring.summary([row]) and scoring.strata(again) == scoring.strata([row])
+    assert scoring.failing(again[0]) == scoring.failing(row)
+
+
+def test_of_a_case_that_was_answered_twice_the_first_answer_is_kept() -> None:
+    fresh, truths = _fresh(), _truths()[:3]
+    first, second = (
+        [
+            fresh.short(truth, {"id": "", "answer": None, "seconds": seconds, "commit": "a"})
+            for truth in truths
+        ]
+        for seconds in (1.0, 2.0)
+    )
+    assert fresh.together(first[:2], second) == [*first[:2], second[2]]
+    with pytest.raises(ValueError, match="dev-1: which commit"):
+        fresh.short(truths[0], {"id": "dev-1", "answer": None, "seconds": 1.0})
+
+
+def test_no_case_is_kept_twice_nor_one_that_the_code_was_tuned_on() -> None:
+    kept = _fresh().read()
+    seeds = [one["truth"]["case"]["seed"] for one in kept]
+    assert len(set(seeds)) == len(seeds) and not set(seeds) & {truth["case"]["seed"] for truth in _truths()}
+    assert all(one["commit"] and not one["commit"].endswith("dirty") for one in kept)
 
 
 def test_the_short_ones_are_one_of_each_kind_and_a_pair_is_a_longer_one() -> None:
