@@ -1,5 +1,7 @@
 """Converters told from their readings: step, range, noise beneath it, and the error that lasts, against drawn readings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import plain_motor
@@ -7,9 +9,12 @@ from helpers.plain_motor import AMBIENT_C, RATED, TYPICAL
 
 from motorlens_physics.estimate.converter import lasting_error, quantisation_step, saturated
 from motorlens_physics.estimate.estimate import estimate
+from motorlens_physics.estimate.fit import start_model
+from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.notes import notes_of
 from motorlens_physics.estimate.prepare import prepare_all, prepare_to_fit
 from motorlens_physics.estimate.signals import noise_sd, smoothed
+from motorlens_physics.estimate.weighed import first_point
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated
@@ -162,3 +167,32 @@ def test_a_current_within_a_step_of_its_converter_tells_nothing_of_the_motor(see
         off.append(max(abs(value[key] - motor[key]) / sd[key] for key in ("R_a0", "ke", "J")))
     assert off[0] < 3.0 and off[1] > 4.0, off
     assert 0.05 < sd["R_a0"] / motor["R_a0"] < 0.12
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("begin", [0.6, 1.5])
+def test_a_temperature_between_two_readings_of_a_long_recording_has_the_noise_that_it_has(begin):
+    """How far a temperature is from the border between two readings, and how noisy, only its rise along the whole recording
+    tells apart: no stretch of it may begin anywhere, for disturbances do not lead there."""
+    samples, period_s, step, sd, ambient = 20_000, 0.002, 0.6, 0.12, 20.14
+    rng = np.random.default_rng(3)
+    volts = np.repeat(RATED["voltage"] * rng.uniform(0.2, 0.4, samples // 250), 250)
+    load = np.full(samples, 0.4 * RATED["load_torque"])
+    states = plain_motor.simulated(TYPICAL, volts, load, plain_motor.Test(period_s, samples, 250, True, 0.0))
+    noisy = ambient + states[:, 2] + sd * rng.standard_normal(samples)
+    shown = {
+        "voltage": volts, "load_torque": load, "temperature": np.round(noisy / step) * step,
+        "current": states[:, 0] + 0.02 * rng.standard_normal(samples),
+        "speed": states[:, 1] + 0.2 * rng.standard_normal(samples), "ambient": np.full(samples, ambient),
+    }  # fmt: skip
+    file = MotorFile("plate", Motor(**TYPICAL), PLATE)
+    runs = prepare_all([Recording("rising", period_s * np.arange(samples), shown)], file)
+    model = replace(start_model(file, runs), held=((True, True, True),))
+    (part,) = first_point(model.with_values({"initial.theta@0": 0.0}), runs).parts
+    channel = part.run.channels.index("temperature")
+    sensors = part.noise.sensors.copy()
+    sensors[channel] = (begin * sd) ** 2
+    found, _ = likelier(
+        replace(part.noise, sensors=sensors), part.run, part.linear, part.error, part.used, 60
+    )
+    assert np.sqrt(found.sensors[channel]) == pytest.approx(sd, rel=0.015)

@@ -12,7 +12,7 @@ from scipy.fft import irfft, rfft
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
-from motorlens_physics.estimate.innovations import StateSpace, disturbances, read
+from motorlens_physics.estimate.innovations import StateSpace, disturbances, read, spread
 from motorlens_physics.estimate.noise import LASTS, TINY, TORQUE, VOLTAGE, Noise
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensitivity import Linearisation
@@ -65,8 +65,13 @@ def likelier(
     would end (Aitken's extrapolation), and comes back if the likelihood there is lower.
     """
     space = noise.space(run, linear, used & ~run.rests[:, None])
-    groups = noise.group(run)
-    parts = [(_stretch(space, rows, error), error[rows], groups[rows]) for rows in _stretches(len(error))]
+    groups, stretches = noise.group(run), _stretches(len(error))
+    # What came before a stretch has left the states within what the errors are, and no farther off than disturbances lead:
+    # a slow one, such as a temperature, is where the whole recording says.
+    left = np.mean(error**2, axis=0)
+    if len(stretches) > 1:
+        left = np.minimum(left, spread(space))
+    parts = [(_stretch(space, rows, left), error[rows], groups[rows]) for rows in stretches]
     path, back, total = [noise], noise, float("inf")
     for _ in range(updates):
         leapt = back is not path[-1] and len(path) == 1
@@ -149,13 +154,13 @@ def _stretches(samples: int) -> list[slice]:
     return [slice(int(begin), int(begin) + STRETCH) for begin in begins]
 
 
-def _stretch(space: StateSpace, rows: slice, error: Array) -> StateSpace:
-    if rows == slice(0, len(error)):
+def _stretch(space: StateSpace, rows: slice, left: Array) -> StateSpace:
+    """The samples of some rows of a state space, with the variance (C,) in which what came before has left the states."""
+    if rows == slice(0, len(space.noise)):
         return space
     start = np.zeros_like(space.start)
     if rows.start:
-        # What came before has left the states anywhere within what the errors are.
-        start[space.shows] = np.mean(error**2, axis=0)
+        start[space.shows] = left
     return replace(
         space, matrices=space.matrices[rows.start : rows.stop - 1], keeps=space.keeps[rows.start : rows.stop - 1],
         noise=space.noise[rows], start=start, jumps_V=space.jumps_V[rows.start : rows.stop - 1],
