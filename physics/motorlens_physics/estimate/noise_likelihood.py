@@ -66,11 +66,7 @@ def likelier(
     """
     space = noise.space(run, linear, used & ~run.rests[:, None])
     groups, stretches = noise.group(run), _stretches(len(error))
-    # What came before a stretch has left the states within what the errors are, and no farther off than disturbances lead:
-    # a slow one, such as a temperature, is where the whole recording says.
-    left = np.mean(error**2, axis=0)
-    if len(stretches) > 1:
-        left = np.minimum(left, spread(space))
+    left = _left(space, error) if len(stretches) > 1 else np.zeros(error.shape[1])
     parts = [(_stretch(space, rows, left), error[rows], groups[rows]) for rows in stretches]
     path, back, total = [noise], noise, float("inf")
     for _ in range(updates):
@@ -152,6 +148,19 @@ def _stretches(samples: int) -> list[slice]:
         return [slice(0, samples)]
     begins = np.linspace(0, samples - STRETCH, STRETCHES).astype(int)
     return [slice(int(begin), int(begin) + STRETCH) for begin in begins]
+
+
+def _left(space: StateSpace, error: Array) -> Array:
+    """(C,) variance in which what came before a stretch has left the states that the channels show.
+
+    What a state forgets within a stretch may be anywhere within what the errors (N, C) are. What lasts, as a temperature
+    does, is where the whole recording says, but for what the disturbances have done.
+    """
+    states = space.matrices.shape[1]
+    own = np.diagonal(space.matrices[:STRETCH, :, :states], axis1=1, axis2=2)
+    lasts = np.prod(own, axis=0)[space.shows] ** 2
+    anywhere = np.mean(error**2, axis=0)
+    return np.asarray((1 - lasts) * anywhere + lasts * np.minimum(anywhere, spread(space)))
 
 
 def _stretch(space: StateSpace, rows: slice, left: Array) -> StateSpace:
