@@ -189,25 +189,13 @@ def commit() -> str:
     return subprocess.run(words, cwd=HERE, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def keep(arguments: argparse.Namespace) -> None:
-    """Add the answers of a directory to those that are kept."""
-    import fresh
-
-    directory, there = Path(arguments.directory), fresh.read()
-    answered = read_lines(directory / "answers.jsonl")
-    if subset := next((row["id"] for row in answered if row["id"].startswith("subset")), None):
-        raise SystemExit(f"{subset}: the subset is known to whoever works here; only fresh cases are kept")
-    truths = (json.loads((directory / "key" / f"{row['id']}.json").read_text("utf-8")) for row in answered)
-    both = fresh.together(there, map(fresh.short, truths, answered))
-    fresh.write(both)
-    print(f"{len(both) - len(there)} of {len(answered)} cases are new; {len(both)} are kept in {fresh.FILE}")
-
-
 def print_fresh() -> None:
     """The table of rates of all fresh cases that are kept."""
     import fresh
 
     found = fresh.read()
+    if not found:
+        raise SystemExit(f"{fresh.FILE}: no case is kept yet; `run` some that are new, and `keep` them")
     commits = list(dict.fromkeys(one["commit"] for one in found))
     print(f"{len(found)} fresh cases, each answered once, at {', '.join(commits)}\n")
     compare({"diagnose": fresh.rows(found)})
@@ -556,7 +544,9 @@ def main() -> None:
     elif arguments.action == "score":
         print_score(arguments)
     elif arguments.action == "keep":
-        keep(arguments)
+        import fresh
+
+        print(fresh.keep(Path(arguments.directory)))
     elif arguments.action == "fresh":
         print_fresh()
 

@@ -42,34 +42,32 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
     assert "--json" in done.stdout
 
 
-def test_the_overview_names_every_command_without_loading_what_is_heavy() -> None:
-    probe = (
-        "import sys; from motorlens_runtime.cli import main\n"
-        "try: main(['--help'])\n"
-        "except SystemExit: pass\n"
-        "heavy = {'numpy', 'torch', 'scipy', 'sympy', 'numba', 'onnxruntime', 'matplotlib'} & set(sys.modules)\n"
-        "sys.exit(f'loaded {heavy}' if heavy else 0)"
-    )
+def printed_without_loading(heavy: set[str], script: str) -> str:
+    """What a script of Python prints; it must not have loaded any of these modules."""
+    probe = f"import sys\n{script}\nloaded = {heavy} & set(sys.modules)\nsys.exit(f'loaded {{loaded}}' if loaded else 0)"
     done = subprocess.run(
         [sys.executable, "-c", probe], capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert all(command in done.stdout for command in COMMANDS)
+    return done.stdout
+
+
+def test_the_overview_names_every_command_without_loading_what_is_heavy() -> None:
+    heavy = {"numpy", "torch", "scipy", "sympy", "numba", "onnxruntime", "matplotlib"}
+    overview = "from motorlens_runtime.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
+    said = printed_without_loading(heavy, overview)
+    assert all(command in said for command in COMMANDS)
 
 
 @pytest.mark.fit
 def test_no_estimate_waits_for_what_it_does_not_need() -> None:
     """A third of a second at each start: `scipy.signal` brings all of `scipy.stats`."""
-    probe = (
-        "import sys; from motorlens_workbench import diagnose, ladder; from motorlens_workbench.compare import comparison\n"
-        "assert 'scipy.optimize' in sys.modules\n"
-        "heavy = {'torch', 'scipy.signal', 'scipy.stats', 'scipy.interpolate', 'matplotlib', 'polars'} & set(sys.modules)\n"
-        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+    heavy = {"torch", "scipy.signal", "scipy.stats", "scipy.interpolate", "matplotlib", "polars"}
+    estimates = (
+        "from motorlens_workbench import diagnose, ladder; from motorlens_workbench.compare import comparison\n"
+        "assert 'scipy.optimize' in sys.modules"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", probe], capture_output=True, text=True, timeout=LIMIT_S, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    assert printed_without_loading(heavy, estimates) == ""
 
 
 @pytest.mark.fit

@@ -25,12 +25,7 @@ def short(truth: Truth, answered: dict[str, Any]) -> dict[str, Any]:
     Args:
         truth: what was hidden.
         answered: a row of `answers.jsonl`.
-
-    Raises:
-        ValueError: the row does not say which commit answered.
     """
-    if "commit" not in answered:
-        raise ValueError(f"{answered['id']}: which commit answered is not known")
     answer = answered["answer"]
     if answer is not None:
         wanted = {named_first(answer), *(effect["name"] for effect in truth["hidden"])}
@@ -69,3 +64,27 @@ def read() -> list[dict[str, Any]]:
 def write(cases: Iterable[dict[str, Any]]) -> None:
     """Keep these, and no others."""
     FILE.write_text("".join(json.dumps(one) + "\n" for one in cases), "utf-8")
+
+
+def keep(directory: Path) -> str:
+    """Add the answers in a directory of `run`; what was done, in words.
+
+    Raises:
+        SystemExit: there are none, they are not of fresh cases, or it is not known what code answered.
+    """
+    answers = directory / "answers.jsonl"
+    if not answers.exists():
+        raise SystemExit(f"{answers}: not there; `run ... -o {directory}` writes it")
+    answered = [json.loads(line) for line in answers.read_text("utf-8").splitlines()]
+    for row in answered:
+        if row["id"].startswith("subset"):
+            raise SystemExit(
+                f"{row['id']}: the subset is known to whoever works here; only fresh cases are kept"
+            )
+        if "commit" not in row or row["commit"].endswith("-dirty"):
+            raise SystemExit(f"{row['id']}: no commit holds the code that answered; commit first, then `run`")
+    truths = (json.loads((directory / "key" / f"{row['id']}.json").read_text("utf-8")) for row in answered)
+    there = read()
+    both = together(there, map(short, truths, answered))
+    write(both)
+    return f"{len(both) - len(there)} of {len(answered)} cases are new; {len(both)} are kept in {FILE}"

@@ -283,18 +283,34 @@ def test_wrong_use_is_one_clear_line(arguments, message, rough, tmp_path, capsys
     assert message in said
 
 
+@pytest.fixture(scope="module")
+def weaker_magnet(tmp_path_factory: pytest.TempPathFactory) -> Finding:
+    """What is found of a magnet that loses a fortieth halfway."""
+    with pytest.MonkeyPatch.context() as patch:
+        # Estimating anew with each of thirty names takes minutes and finds none; `test_contest.py` has that it is tried.
+        patch.setattr(contest, "enter_anew", lambda *of: Step())
+        made, found = answered("dev-0633", tmp_path_factory.mktemp("magnet"))
+    assert [hidden["name"] for hidden in made.truth["hidden"]] == ["demagnetisation_step"]
+    return found
+
+
 @pytest.mark.long
 @pytest.mark.fit
-def test_a_model_that_leaves_what_is_correlated_is_not_adequate(tmp_path, monkeypatch):
-    """A magnet that loses a fortieth halfway: parameters bend until nothing stands out, but what is left is no noise."""
-    # Estimating anew with each of thirty names takes minutes here, and finds none (`test_contest.py` has that it is tried).
-    monkeypatch.setattr(contest, "enter_anew", lambda *of: Step())
-    made, found = answered("dev-0633", tmp_path)
-    assert [hidden["name"] for hidden in made.truth["hidden"]] == ["demagnetisation_step"]
-    verdict = settle(found)
-    # Amiss: it is in the coupling, and was told so while a temperature could begin anywhere in each stretch of a recording.
-    assert (verdict.kind, verdict.equation) == ("unknown", "thermal")
+def test_a_model_that_leaves_what_is_correlated_is_not_adequate(weaker_magnet):
+    """Parameters bend until no name stands out, but what is left is no noise."""
+    verdict = settle(weaker_magnet)
+    assert verdict.kind == "unknown"
     assert any("correlated as no noise" in sentence for sentence in verdict.untold)
+
+
+@pytest.mark.long
+@pytest.mark.fit
+@pytest.mark.xfail(
+    strict=True,
+    reason="a heat against temperature is told, since a temperature lasts from stretch to stretch",
+)
+def test_a_magnet_that_weakens_is_missed_in_the_coupling(weaker_magnet):
+    assert settle(weaker_magnet).equation == "coupling"
 
 
 @pytest.mark.long

@@ -181,8 +181,27 @@ def test_of_a_case_that_was_answered_twice_the_first_answer_is_kept() -> None:
         for seconds in (1.0, 2.0)
     )
     assert fresh.together(first[:2], second) == [*first[:2], second[2]]
-    with pytest.raises(ValueError, match="dev-1: which commit"):
-        fresh.short(truths[0], {"id": "dev-1", "answer": None, "seconds": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        (None, "answers.jsonl: not there"),
+        ({"id": "subset-0003", "commit": "a"}, "subset-0003: the subset is known"),
+        ({"id": "dev-0001"}, "dev-0001: no commit holds the code"),
+        ({"id": "dev-0001", "commit": "a-dirty"}, "dev-0001: no commit holds the code"),
+    ],
+)
+def test_what_is_not_fresh_or_of_unknown_code_is_not_kept(
+    tmp_path: Path, row: dict[str, str] | None, said: str
+) -> None:
+    fresh = _fresh()
+    before = fresh.FILE.read_bytes()
+    if row:
+        (tmp_path / "answers.jsonl").write_text(json.dumps(row) + "\n")
+    with pytest.raises(SystemExit, match=said):
+        fresh.keep(tmp_path)
+    assert fresh.FILE.read_bytes() == before
 
 
 def test_no_case_is_kept_twice_nor_one_that_the_code_was_tuned_on() -> None:

@@ -65,9 +65,7 @@ def likelier(
     would end (Aitken's extrapolation), and comes back if the likelihood there is lower.
     """
     space = noise.space(run, linear, used & ~run.rests[:, None])
-    groups, stretches = noise.group(run), _stretches(len(error))
-    left = _left(space, error) if len(stretches) > 1 else np.zeros(error.shape[1])
-    parts = [(_stretch(space, rows, left), error[rows], groups[rows]) for rows in stretches]
+    parts = _parts(space, error, noise.group(run))
     path, back, total = [noise], noise, float("inf")
     for _ in range(updates):
         leapt = back is not path[-1] and len(path) == 1
@@ -143,11 +141,16 @@ def _ratio(score: Array) -> Array:
     return np.clip(ratio, 0.05, 20.0)
 
 
-def _stretches(samples: int) -> list[slice]:
-    if samples <= PIECE:
-        return [slice(0, samples)]
-    begins = np.linspace(0, samples - STRETCH, STRETCHES).astype(int)
-    return [slice(int(begin), int(begin) + STRETCH) for begin in begins]
+def _parts(
+    space: StateSpace, error: Array, groups: NDArray[np.int64]
+) -> list[tuple[StateSpace, Array, NDArray[np.int64]]]:
+    """What the variances are estimated from: all, or stretches of a long recording."""
+    if len(error) <= PIECE:
+        return [(space, error, groups)]
+    left = _left(space, error)
+    begins = np.linspace(0, len(error) - STRETCH, STRETCHES).astype(int).tolist()
+    stretches = [slice(begin, begin + STRETCH) for begin in begins]
+    return [(_stretch(space, rows, left), error[rows], groups[rows]) for rows in stretches]
 
 
 def _left(space: StateSpace, error: Array) -> Array:
@@ -165,8 +168,6 @@ def _left(space: StateSpace, error: Array) -> Array:
 
 def _stretch(space: StateSpace, rows: slice, left: Array) -> StateSpace:
     """The samples of some rows of a state space, with the variance (C,) in which what came before has left the states."""
-    if rows == slice(0, len(space.noise)):
-        return space
     start = np.zeros_like(space.start)
     if rows.start:
         start[space.shows] = left

@@ -45,7 +45,8 @@ class Rate:
         p, n = self.hits / self.of, self.of
         centre = (p + z * z / (2 * n)) / (1 + z * z / n)
         half = z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-        return float(centre - half), float(centre + half)
+        # A rate of 0 is in its interval, to the last digit.
+        return max(float(centre - half), 0.0), min(float(centre + half), 1.0)
 
     def __str__(self) -> str:
         if self.of == 0:
