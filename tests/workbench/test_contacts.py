@@ -114,15 +114,14 @@ def test_a_robust_fit_ignores_what_stands_out():
     terms = np.column_stack([np.ones(400), rng.standard_normal(400)])
     noise = rng.standard_normal(400)
     outliers = np.where(rng.random(400) < 0.1, 50.0, 0.0)
-    error, scale = robust(terms, terms @ [3.0, -2.0] + 0.2 * noise + outliers)
+    error = robust(terms, terms @ [3.0, -2.0] + 0.2 * noise + outliers)
     clean = outliers == 0
     assert np.sqrt(np.mean((error - 0.2 * noise)[clean] ** 2)) < 0.08
     assert np.all(error[~clean] > 45)
-    assert 0.17 < scale < 0.27
 
 
 def test_a_current_that_has_decayed_to_nothing_explains_nothing():
     """What a filter leaves of a current after minutes is too small a number to divide by."""
     drop = np.random.default_rng(6).standard_normal(61)
-    error, _ = robust(np.full((61, 1), 1.5e-323), drop)
+    error = robust(np.full((61, 1), 1.5e-323), drop)
     assert np.array_equal(error, drop)

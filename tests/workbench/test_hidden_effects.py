@@ -127,8 +127,10 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
                 "dev-3486",
                 "dev-3492",
                 "dev-3531",
+                "dev-3554",
             ),
         ),
+        (4200, ("dev-0084",)),
     ],
 )
 def test_the_cases_of_other_tests_are_those_of_the_plan(

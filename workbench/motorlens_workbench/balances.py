@@ -28,7 +28,6 @@ def missing_of(
     r: int,
     trajectory: Trajectory,
     predicted: Array,
-    electrical_s: float | None = None,
 ) -> dict[str, Array]:
     """What each equation lacks, (N,), with measured states wherever there are some and simulated ones elsewhere.
 
@@ -38,37 +37,48 @@ def missing_of(
         r: which run of the model's it is.
         trajectory: of that run, as simulated.
         predicted: (N, C) what its sensors would show: what they add to the truth is taken out of what was measured.
-        electrical_s: time constant of the low-pass in the electrical equation; None: as `filter_times` has it.
     """
-    # What goes with the shaft's angle is simulated only where that is known.
-    motor, inputs = trajectory.motor, inputs_of(model, run, r)
-    column = {STATE_OF[channel]: k for k, channel in enumerate(run.channels)}
-
-    def state(name: str, rows: slice) -> Array:
-        simulated = trajectory.states[name][rows]
-        if name not in column:
-            return simulated
-        return simulated + run.measured[rows, column[name]] - predicted[rows, column[name]]
-
-    pace = time_constants(motor)
+    pace = time_constants(trajectory.motor)
+    motor, time = trajectory.motor, run.inputs.time_s
     masses = dict(zip(EQUATIONS, (motor.L, motor.J, motor.H), strict=True))
     reach = filter_times(run, pace)
-    if electrical_s is not None:
-        reach = {**reach, "electrical": electrical_s}
-    missing = {name: np.empty(len(inputs.time_s)) for name in EQUATIONS}
+    missing = balances_of(model, run, r, trajectory, predicted)
+    for name, of in zip(EQUATIONS, STATE_OF.values(), strict=True):
+        y, tau = measured_state(run, trajectory, predicted, of), reach[name]
+        rate = (y - lowpass(y, time, tau)) / tau
+        missing[name] = masses[name] * rate - lowpass(missing[name], time, tau)
+    return missing
+
+
+def balances_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> dict[str, Array]:
+    """What changes each state, (N,): of a motor that the model knows, L di/dt, J dw/dt and H dtheta/dt.
+
+    Args: as of `missing_of`.
+    """
+    inputs = inputs_of(model, run, r)
+    balances = {name: np.empty(len(inputs.time_s)) for name in EQUATIONS}
     # Sample by sample, so some at a time: of a long recording the steps of a formula would need more room than its data.
     for begin in range(0, len(inputs.time_s), _AT_ONCE):
         rows = slice(begin, begin + _AT_ONCE)
-        x = SimpleNamespace(**{name: state(name, rows) for name in trajectory.states})
+        states = {name: measured_state(run, trajectory, predicted, name, rows) for name in trajectory.states}
+        x = SimpleNamespace(**states)
         some = inputs.part(rows)
         u = SimpleNamespace(v=some.voltage_V, load=some.load_torque_Nm, ambient=some.ambient_C, t=some.time_s)
-        for name, balance in zip(EQUATIONS, motor.balances(x, u), strict=True):
-            missing[name][rows] = balance
-    for name, of in zip(EQUATIONS, STATE_OF.values(), strict=True):
-        y, tau = state(of, slice(None)), reach[name]
-        rate = (y - lowpass(y, inputs.time_s, tau)) / tau
-        missing[name] = masses[name] * rate - lowpass(missing[name], inputs.time_s, tau)
-    return missing
+        # What goes with the shaft's angle is simulated only where that is known.
+        for name, balance in zip(EQUATIONS, trajectory.motor.balances(x, u), strict=True):
+            balances[name][rows] = balance
+    return balances
+
+
+def measured_state(
+    run: Run, trajectory: Trajectory, predicted: Array, name: str, rows: slice = slice(None)
+) -> Array:
+    """Some rows of a state (N,) as it was measured, without what its sensor adds, or as simulated if it was not."""
+    column = {STATE_OF[channel]: k for k, channel in enumerate(run.channels)}
+    simulated = trajectory.states[name][rows]
+    if name not in column:
+        return simulated
+    return np.asarray(simulated + run.measured[rows, column[name]] - predicted[rows, column[name]])
 
 
 def filter_times(run: Run, pace: TimeConstants) -> dict[str, float]:

@@ -1,41 +1,32 @@
 """A contact that comes and goes: spells of more resistance, too short and too irregular for any curve.
 
 While a contact is bad the electrical equation lacks a voltage that goes with the current, always on the side of more
-resistance; noise lies on both sides alike, and spikes of a sensor do not go with the current. So what robust fits of the run
-and of each stretch of it (Huber 1964, doi:10.1214/aoms/1177703732) leave is taken for a mixture of samples without and
-samples with one resistance more (expectation maximisation, Dempster, Laird and Rubin 1977,
-doi:10.1111/j.2517-6161.1977.tb01600.x). It is a contact where that is likelier than a mixture with anything else that comes
-and goes.
+resistance; noise lies on both sides alike, and spikes of a sensor do not go with the current. So what a robust fit leaves of
+that equation (Huber 1964, doi:10.1214/aoms/1177703732) is looked through for spells of one resistance more. They are a
+contact where they are likelier than spells of anything else.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motorlens_physics.estimate.forcing import Forcing
 from motorlens_physics.scenario import time_constants
-from motorlens_workbench.balances import lowpass, missing_of
+from motorlens_workbench.balances import balances_of, measured_state
 from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
+from motorlens_workbench.hypotheses.spells import Left, Spells, level, spells
 
 Array = NDArray[np.float64]
 
-# Samples of a stretch of time that is fitted by itself, and how many stretches there are at most.
+# Windows of a stretch of time whose noise is told by itself, and how many stretches there are at most.
 STRETCH, MOST = 60, 24
-# Filter times for which the voltage must have kept to this share of its effective value: where the motor has just been
-# driven elsewhere, what a sensor lags by goes with the current too.
-STEADY, KEPT = 10, 0.05
 # How many spells there must be for it to come and go.
 LEAST = 8
-# Degrees of freedom of Student's t that what is left follows: a model that is a little wrong has longer tails than noise.
-FREEDOM = 4.0
-# The fit of a mixture begins at the likeliest of these sizes, in standard deviations, and shares of samples that are other
-# than the rest; it ends once a step wins less than this, or after so many, with a share within these.
-BEGIN, OFTEN, WINS, STEPS, SHARES = np.geomspace(1.0, 1000.0, 16), (0.1, 0.01, 0.001), 1e-3, 200, (1e-4, 0.5)
-# Share of the effective current from which on a bad contact shows, and samples of the stretch of time that is shown.
+# Share of the effective current from which on a bad contact shows, and windows of the stretch of time that is shown.
 CARRIES, SHOWN = 0.3, 80
 # Bound of Huber's weights, standard deviations, and how often they are renewed.
 HUBER, ROUNDS = 1.5, 5
@@ -90,183 +81,129 @@ class Contact:
 
 @dataclass(frozen=True)
 class _Lacking:
-    """What the electrical equation of a run lacks at M moments.
+    """What the electrical equation of a run lacks in M windows of time.
 
     Attributes:
         line: the run.
-        time_s: (M,).
-        current_A: (M,).
-        voltage_V: (M,) on the side of a drop, beyond a robust fit of its stretch of time.
-        scale_V: (M,) robust standard deviation of its stretch.
-        steady: (M,) whether the voltage had been steady.
+        time_s: (M,) the middle of each.
+        current_A: (M,) as measured.
+        flows_A: (M,) as simulated: in that which was measured there is noise, which the equation lacks as well.
+        left: V, on the side of a drop, beyond a robust fit.
     """
 
     line: Line
     time_s: Array
     current_A: Array
-    voltage_V: Array
-    scale_V: Array
-    steady: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class _Mixture:
-    """Samples of two kinds.
-
-    Attributes:
-        wins: logarithm of how many times as likely it is as one kind alone.
-        size: by how much the one kind lies beyond the other, in units of its form.
-        share: of the samples that do.
-        other: (M,) probability of each sample of being one of them.
-    """
-
-    wins: float
-    size: float
-    share: float
-    other: Array
-
-    @property
-    def spells(self) -> int:
-        """How many there are: neighbours belong together."""
-        out = self.other > 0.5
-        return int(np.sum(out[1:] & ~out[:-1]) + np.sum(out[:1]))
+    flows_A: Array
+    left: Left
 
 
 def contacts(lines: Sequence[Line]) -> list[Hypothesis]:
     """A contact, if the electrical equation shows one.
 
-    Recordings without current or speed say nothing, nor do very short ones.
+    Recordings without current say nothing, nor do very short ones.
     """
     seen = [lacking for line in lines if (lacking := _lacking(line)) is not None]
     found = [(lacking, bad) for lacking in seen if (bad := _contact(lacking)) is not None]
-    if sum(bad.spells for _, bad in found) < LEAST:
+    if sum(bad.count for _, bad in found) < LEAST:
         return []
     most, bad = max(found, key=lambda pair: pair[1].wins)
     return [Hypothesis("contact", "unnamed", "electrical", (_shape(most, bad, found),))]
 
 
 def _lacking(line: Line) -> _Lacking | None:
-    model, run = line.model, line.run
-    if not {"current", "speed"} <= {*run.channels}:
+    run, simulated = line.run, line.trajectory.states
+    if "current" not in run.channels:
         return None
-    # As short as a derivative of the current may be, there and back: what is slower would take several spells for one.
-    tau = 0.5 * max(run.period_s, time_constants(model.file.motor).electrical_s)
-    time = run.inputs.time_s
-    drop = _back(
-        -missing_of(model, run, line.r, line.trajectory, line.predicted, tau)["electrical"], time, tau
-    )
-    current, speed = (
-        _back(lowpass(run.measured[:, run.channels.index(channel)], time, tau), time, tau)
-        for channel in ("current", "speed")
-    )
-    step = max(1, round(2 * tau / run.period_s))
-    at = np.arange(20 * step, len(time), step)
-    at = at[run.valid[at]]
-    if len(at) < STRETCH:
+    # The voltage as it was measured: what it was corrected by holds what the contact has lost.
+    bare = replace(run, corrections=None)
+    balance = balances_of(line.model, bare, line.r, line.trajectory, line.predicted)["electrical"]
+    current = measured_state(run, line.trajectory, line.predicted, "i")
+    # As short as a derivative of the current may be: what is slower would take several spells for one.
+    each = max(1, round(time_constants(line.model.file.motor).electrical_s / run.period_s))
+    begins = np.arange(1, len(balance) - each, each)
+    if len(begins) < STRETCH:
         return None
-    voltage = _back(lowpass(run.inputs.voltage_V, time, tau), time, tau)
-    moved = np.abs(voltage - np.concatenate([np.full(STEADY * step, voltage[0]), voltage[: -STEADY * step]]))
-    steady = moved < KEPT * np.sqrt(np.mean(voltage**2))
-    # What the model has a little wrong: over the run as a whole, then a resistance that warms. With more terms, two levels
-    # of a current that is steady otherwise would lie on one line.
-    terms = np.column_stack([np.ones_like(current), current, speed, np.gradient(current)])
-    drop[at] = robust(terms[at], drop[at])[0]
-    parts = [np.zeros((0, 3))]
-    for stretch in np.array_split(at, max(min(MOST, len(at) // STRETCH), 1)):
-        beyond, scale = robust(current[stretch, None], drop[stretch])
-        parts.append(np.column_stack([stretch, beyond, np.full(len(stretch), scale)]))
-    used, beyond, scales = np.concatenate(parts).T
-    at = used.astype(int)
+
+    def mean(y: Array) -> Array:
+        return np.asarray(np.lib.stride_tricks.sliding_window_view(y, each)[begins].mean(axis=1))
+
+    def rate(y: Array) -> Array:
+        # From half a sample before a window to half a sample behind it.
+        time = run.inputs.time_s
+        ends = [
+            0.5 * (of[begins + each - 1] + of[begins + each] - of[begins - 1] - of[begins])
+            for of in (y, time)
+        ]
+        return np.asarray(ends[0] / ends[1])
+
+    used = mean(run.valid.astype(float)) == 1
+    drop = (mean(balance) - line.trajectory.motor.L * rate(current))[used]
+    flows = mean(simulated["i"])[used]
+    # What the model has a little wrong, and what a sensor lags by: it goes with the current where the shaft gathers speed.
+    wrong = (np.ones_like(current), simulated["i"], simulated["w"])
+    terms = np.column_stack([*map(mean, wrong), rate(simulated["i"]), rate(simulated["w"])])[used]
     # Where no current flows, no resistance shows.
-    if steady[at].sum() < STRETCH or not current[at][steady[at]].any():
+    if len(drop) < STRETCH or not flows.any():
         return None
-    return _Lacking(line, time[at], current[at], beyond, scales, steady[at])
+    terms = terms / np.maximum(np.max(np.abs(terms), axis=0), np.finfo(np.float64).tiny)
+    beyond = robust(terms, drop)
+    stretches = np.array_split(beyond, max(min(MOST, len(beyond) // STRETCH), 1))
+    scale = np.concatenate([np.full(len(part), _deviation(part, beyond)) for part in stretches])
+    left = level(Left(beyond, scale, terms))
+    return _Lacking(line, mean(run.inputs.time_s)[used], mean(current)[used], flows, left)
 
 
-def _back(y: Array, time: Array, tau: float) -> Array:
-    """(N,) samples through the low-pass once more, against time, so that they are not late."""
-    return lowpass(y[::-1], -time[::-1], tau)[::-1]
-
-
-def robust(terms: Array, y: Array) -> tuple[Array, float]:
-    """Residuals (M,) of a robust fit of y (M,) by terms (M, k), and their standard deviation by the median."""
+def robust(terms: Array, y: Array) -> Array:
+    """Residuals (M,) of a robust fit of y (M,) by terms (M, k)."""
     weights = np.ones(len(y))
     # What a filter leaves of a current long after it has ended is nothing to divide by.
     terms = np.where(np.abs(terms) < np.finfo(np.float64).tiny, 0.0, terms)
     for _ in range(ROUNDS):
         root = np.sqrt(weights)
-        error = y - terms @ np.linalg.lstsq(terms * root[:, None], y * root, rcond=None)[0]
-        scale = 1.4826 * float(np.median(np.abs(error))) + 1e-12 * float(np.max(np.abs(y), initial=1e-300))
-        weights = 1 / np.maximum(1.0, np.abs(error) / (HUBER * scale))
-    return error, scale
+        error = np.asarray(y - terms @ np.linalg.lstsq(terms * root[:, None], y * root, rcond=None)[0])
+        weights = 1 / np.maximum(1.0, np.abs(error) / (HUBER * _deviation(error, y)))
+    return error
 
 
-def _contact(seen: _Lacking) -> _Mixture | None:
-    """The spells of a run, if they are likelier than none, and than anything else that comes and goes."""
-    drop, scale, current = (y[seen.steady] for y in (seen.voltage_V, seen.scale_V, seen.current_A))
+def _deviation(error: Array, y: Array) -> float:
+    """Standard deviation of errors (M,) by the median; not quite nothing beside what they are the errors of."""
+    return 1.4826 * float(np.median(np.abs(error))) + 1e-12 * float(np.max(np.abs(y), initial=1e-300))
+
+
+def _contact(seen: _Lacking) -> Spells | None:
+    """The spells of a run, if they are likelier than none, and than anything else that comes and goes.
+
+    Noise that lasts makes spells on either side likely: then only how far samples lie beyond may tell.
+    """
+    current = seen.flows_A
     even, way = np.ones_like(current), np.sign(current)
-    bad = _mixture(drop, scale, [current])
     # Less resistance, or as often less as more; and a voltage that does not go with the current.
     others = [[-current], [current, -current], [even], [-even], [even, -even], [way], [-way]]
-    # Two numbers are fitted: how much, and how often (Schwarz 1978, doi:10.1214/aos/1176344136).
-    rival = max(np.log(len(drop)), *(_mixture(drop, scale, forms).wins for forms in others))
-    return bad if bad.wins > rival + NEARLY else None
+    lasting = spells(seen.left, [current], lasting=True)
+    # Only where they may last is it told how many there are.
+    apart = replace(spells(seen.left, [current], lasting=False), count=lasting.count)
+    # How much and how often are fitted, and for how long (Schwarz 1978, doi:10.1214/aos/1176344136).
+    for bad, numbers in ((lasting, 3), (apart, 2)):
+        least = bad.wins - NEARLY
+        if least > 0.5 * numbers * np.log(len(current)) and all(
+            spells(seen.left, forms, bad is lasting).wins < least for forms in others
+        ):
+            return bad
+    return None
 
 
-def _mixture(drop: Array, scale: Array, forms: Sequence[Array]) -> _Mixture:
-    """Samples (M,) some of which lie beyond the others by a size times one of the forms, each as likely as another."""
-    usual = _likelihood(drop, scale)
-
-    def parts(size: float, share: float) -> tuple[Array, Array, Array]:
-        each = np.array([_likelihood(drop - size * form, scale) for form in forms])
-        apart = np.logaddexp.reduce(each, axis=0)
-        there = np.log(share / len(forms)) + apart
-        total = np.logaddexp(np.log1p(-share) + usual, there)
-        return np.exp(each - apart), np.exp(there - total), total - usual
-
-    sizes = BEGIN / np.sqrt(np.mean((forms[0] / scale) ** 2))
-    begins = ((float(size), share) for size in sizes for share in OFTEN)
-    size, share = max(begins, key=lambda begin: float(np.sum(parts(*begin)[2])))
-    wins = -np.inf
-    for _ in range(STEPS):
-        which, other, each = parts(size, share)
-        before, wins = wins, float(np.sum(each))
-        if wins < before + WINS:
-            break
-        pulls = [
-            other * one / (FREEDOM + ((drop - size * form) / scale) ** 2) / scale**2
-            for one, form in zip(which, forms, strict=True)
-        ]
-        weight = sum(float(np.sum(pull * form**2)) for pull, form in zip(pulls, forms, strict=True))
-        moment = sum(float(np.sum(pull * form * drop)) for pull, form in zip(pulls, forms, strict=True))
-        size = max(moment / weight, 0.0)
-        share = float(np.clip(other.mean(), *SHARES))
-    return _Mixture(wins, size, share, other)
-
-
-def _likelihood(error: Array, scale: Array) -> Array:
-    """(M,) logarithm of Student's t, but for a constant."""
-    return np.asarray(-np.log(scale) - 0.5 * (FREEDOM + 1) * np.log1p((error / scale) ** 2 / FREEDOM))
-
-
-def _when(seen: _Lacking, bad: _Mixture) -> Array:
-    """(M,) probability that the contact is bad, whether the voltage had been steady or not."""
-    good = _likelihood(seen.voltage_V, seen.scale_V) + np.log1p(-bad.share)
-    there = _likelihood(seen.voltage_V - bad.size * seen.current_A, seen.scale_V) + np.log(bad.share)
-    return np.asarray(np.exp(there - np.logaddexp(good, there)))
-
-
-def _shape(most: _Lacking, bad: _Mixture, found: Sequence[tuple[_Lacking, _Mixture]]) -> Contact:
+def _shape(most: _Lacking, bad: Spells, found: Sequence[tuple[_Lacking, Spells]]) -> Contact:
+    weights = bad.other * most.current_A / most.left.scale**2
+    by = float(weights @ bad.values / (weights @ most.current_A))
     # Where hardly a current flows nothing shows.
-    kept = most.steady & (np.abs(most.current_A) > CARRIES * np.sqrt(np.mean(most.current_A**2)))
-    time, current, spells = most.time_s[kept], most.current_A[kept], _when(most, bad)[kept]
-    more, sd = most.voltage_V[kept] / current, most.scale_V[kept] / np.abs(current)
-    counts = np.convolve(spells, np.ones(min(SHOWN, len(spells))), mode="valid")
+    kept = np.abs(most.current_A) > CARRIES * np.sqrt(np.mean(most.current_A**2))
+    time, current, other = most.time_s[kept], most.current_A[kept], bad.other[kept]
+    more, sd = bad.values[kept] / current, most.left.scale[kept] / np.abs(current)
+    counts = np.convolve(other, np.ones(min(SHOWN, len(other))), mode="valid")
     window = slice(int(np.argmax(counts)), int(np.argmax(counts)) + SHOWN)
-    missing = tuple(
-        (one.line.r, one.time_s, _when(one, each) * each.size * one.current_A) for one, each in found
-    )
+    missing = tuple((one.line.r, one.time_s, each.other * each.size * one.flows_A) for one, each in found)
     return Contact(
         most.line.run.name, most.line.model.file.meaning("R_a0").unit, missing,
-        (time[window], more[window], sd[window]), bad.size, float(np.mean(more > 0.5 * bad.size)),
+        (time[window], more[window], sd[window]), by, float(np.mean(bad.other)),
     )  # fmt: skip
