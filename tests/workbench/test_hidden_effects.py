@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.hidden import draw, generate, generate_again, known
+from helpers.hidden import draw, generate, generate_again, truth_of
 from helpers.hidden import score as scoring
 
 from motorlens_runtime.cli import main
@@ -133,13 +133,11 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
         (4200, ("dev-0084",)),
     ],
 )
-def test_the_cases_of_other_tests_are_those_of_the_plan(
-    count: int, names: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_the_cases_of_other_tests_are_those_of_the_plan(count: int, names: tuple[str, ...]) -> None:
     """Sized up as the one above was."""
     plan = {case.id: case for case in draw("dev", count, small=True)}
     for name in names:
-        truth = known(name, tmp_path / name).truth
+        truth = truth_of(name)
         assert truth["case"]["seed"] == plan[name].seed
         assert tuple(map(tuple, truth["case"]["hidden"])) == plan[name].hidden
 

@@ -24,6 +24,7 @@ Where the winding's temperature is measured, the ambient is as well. Columns nam
 """
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,7 @@ __all__ = [
     "generate_experiment",
     "known",
     "size_up",
+    "truth_of",
 ]
 
 
@@ -149,8 +151,13 @@ def generate_again(truth: dict[str, Any], directory: Path) -> Generated:
 
 def known(name: str, directory: Path) -> Generated:
     """A small case of the split `dev` whose truth is kept here: the files that `generate` would write."""
-    truths = map(json.loads, _KEY.read_text(encoding="utf-8").splitlines())
-    return generate_again(next(truth for truth in truths if truth["case"]["id"] == name), directory)
+    return generate_again(truth_of(name), directory)
+
+
+def truth_of(name: str) -> dict[str, Any]:
+    """The truth of such a case."""
+    truths: Iterator[dict[str, Any]] = map(json.loads, _KEY.read_text(encoding="utf-8").splitlines())
+    return next(truth for truth in truths if truth["case"]["id"] == name)
 
 
 def generate_experiment(truth: dict[str, Any], test: str, seconds: float, directory: Path) -> Path:
