@@ -110,9 +110,10 @@ def spells(left: Left, forms: Sequence[Array], lasting: bool) -> Spells:
         moment = sum(float(np.sum(pull * form * values)) for pull, form in zip(pulls, forms, strict=True))
         size = max(moment / weight, 0.0)
         usual = (1 - other.sum(axis=1)) * _pull(values, scale)
-        all_pull = usual + sum(pulls)
-        mean = values - size * sum(pull * form for pull, form in zip(pulls, forms, strict=True)) / all_pull
-        values = values - mean + _beyond_level(left, mean, all_pull)
+        weights = usual + sum(pulls)
+        # What the level is to be fitted to: without what is expected of the spells.
+        rest = values - size * sum(pull * form for pull, form in zip(pulls, forms, strict=True)) / weights
+        values = values - rest + _beyond_level(left, rest, weights)
         share = float(np.clip(other.sum() / len(values), *SHARES))
         stays = float(np.clip(again / other[:-1].sum(), share, 1 - 1 / len(values))) if lasting else share
     return Spells(wins, size, share, other.sum() - again, values, other.sum(axis=1))
