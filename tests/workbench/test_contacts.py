@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from helpers.changing import MOTOR, drive, textbook
-from scipy.signal import lfilter
+from helpers.hidden import known
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor_file import read_motor_file
-from motorlens_physics.recording import Recording
+from motorlens_physics.recording import Recording, read_recording
 from motorlens_workbench.hypotheses.contact import contacts, robust
 from motorlens_workbench.hypotheses.line import Line
 
@@ -26,13 +26,7 @@ def spells(rng, share, mean_s=0.03):
     return bad
 
 
-def late(y, lag_s):
-    """(N,) as a sensor with a lag of the first order shows it."""
-    keep = np.exp(-DT / lag_s)
-    return lfilter([1 - keep], [1, -keep], y - y[0]) + y[0]
-
-
-def recorded(name, resistance, spikes_V, noise, lag_s):
+def recorded(name, resistance, spikes_V, noise):
     rng = np.random.default_rng(8)
     voltage = 150 * np.repeat(rng.uniform(-1, 1, N // 800), 800)
     load = np.repeat(rng.uniform(-8, 8, N // 400), 400)
@@ -42,15 +36,20 @@ def recorded(name, resistance, spikes_V, noise, lag_s):
         "voltage": voltage + spikes_V * struck * np.sign(rng.standard_normal(N)),
         "load_torque": load,
         "current": current + 0.05 * noise * rng.standard_normal(N),
-        "speed": (late(speed, lag_s) if lag_s else speed) + 0.5 * noise * rng.standard_normal(N),
+        "speed": speed + 0.5 * noise * rng.standard_normal(N),
     }
     return Recording(name, np.arange(N) * DT, channels)
 
 
-def lines(*resistances, spikes_V=0.0, noise=1.0, lag_s=0.0):
-    file = read_motor_file(MOTOR)
-    runs = (recorded(f"run {r}", one, spikes_V, noise, lag_s) for r, one in enumerate(resistances))
-    found = estimate(file, tuple(prepare(run, file) for run in runs))
+def lines(*resistances, spikes_V=0.0, noise=1.0):
+    return lines_of(
+        read_motor_file(MOTOR),
+        [recorded(f"run {r}", one, spikes_V, noise) for r, one in enumerate(resistances)],
+    )
+
+
+def lines_of(file, recordings):
+    found = estimate(file, tuple(prepare(recording, file) for recording in recordings))
     return [Line.of(found.fit.model, run, r, found.fit.prior.keys) for r, run in enumerate(found.runs)]
 
 
@@ -92,8 +91,6 @@ def test_spells_of_several_recordings_count_together():
         {"noise": 10.0},
         pytest.param({"resistance": np.where(np.arange(N) > N // 2, 1.3, 1.0)}, marks=pytest.mark.long),
         {"spikes_V": 40.0},
-        # What goes with the current while the shaft gathers speed.
-        pytest.param({"lag_s": 0.03}, marks=pytest.mark.long),
         # As often less as more: that is no contact.
         pytest.param(
             {
@@ -107,6 +104,16 @@ def test_spells_of_several_recordings_count_together():
 )
 def test_what_is_no_contact_is_not_called_one(shares):
     assert contact(**shares) == []
+
+
+@pytest.mark.long
+@pytest.mark.fit
+@pytest.mark.parametrize("case", ["dev-0189", "dev-0238"])
+def test_a_sensor_that_lags_is_no_contact(tmp_path, case):
+    """Of speed, and of current: what it lacks goes with the current while the shaft gathers speed."""
+    made = known(case, tmp_path)
+    found = lines_of(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    assert contacts(found) == []
 
 
 @pytest.mark.parametrize("samples", [60, 200])
