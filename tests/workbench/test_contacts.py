@@ -10,7 +10,7 @@ from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import Recording, read_recording
-from motorlens_workbench.hypotheses.contact import contacts, robust
+from motorlens_workbench.hypotheses.contact import contacts, deviation, robust
 from motorlens_workbench.hypotheses.line import Line
 
 DT, N = 0.002, 8000
@@ -67,6 +67,18 @@ def test_spells_are_found_with_their_size_and_share(more, share):
     # It is shown as it is: either bad or good.
     shown = shape.shown[1] / (more * textbook()["R_a0"])
     assert np.mean((shown > 0.25) & (shown < 0.6)) < 0.25
+
+
+@pytest.mark.long
+@pytest.mark.fit
+def test_no_speed_need_be_measured(tmp_path):
+    """Of a controlled drive of which only voltage and current are known."""
+    made = known("dev-0171", tmp_path)
+    (hidden,) = made.truth["hidden"]
+    assert hidden["name"] == "loose_connector" and made.truth["case"]["channels"] == "voltage_current"
+    recordings = [read_recording(path) for path in made.recordings]
+    ((shape,),) = [one.shapes for one in contacts(lines_of(read_motor_file(made.motor), recordings))]
+    assert 0.7 < shape.by / hidden["size"] < 1.1
 
 
 @pytest.mark.fit
@@ -130,14 +142,16 @@ def test_a_robust_fit_ignores_what_stands_out():
     terms = np.column_stack([np.ones(400), rng.standard_normal(400)])
     noise = rng.standard_normal(400)
     outliers = np.where(rng.random(400) < 0.1, 50.0, 0.0)
-    error = robust(terms, terms @ [3.0, -2.0] + 0.2 * noise + outliers)
+    y = terms @ [3.0, -2.0] + 0.2 * noise + outliers
+    error = robust(terms, y)
     clean = outliers == 0
     assert np.sqrt(np.mean((error - 0.2 * noise)[clean] ** 2)) < 0.08
     assert np.all(error[~clean] > 45)
+    assert 0.17 < deviation(error, y) < 0.27
 
 
 def test_a_current_that_has_decayed_to_nothing_explains_nothing():
-    """What a filter leaves of a current after minutes is too small a number to divide by."""
+    """After minutes it is too small a number to divide by."""
     drop = np.random.default_rng(6).standard_normal(61)
     error = robust(np.full((61, 1), 1.5e-323), drop)
     assert np.array_equal(error, drop)

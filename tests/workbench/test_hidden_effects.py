@@ -118,6 +118,7 @@ def test_the_key_is_that_of_the_subset(tmp_path: Path) -> None:
         (
             3600,
             (
+                "dev-0171",
                 "dev-0189",
                 "dev-0238",
                 "dev-3206",

@@ -5,14 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from motorlens_workbench.hypotheses.spells import Left, level, smoothed, spells
+from motorlens_workbench.hypotheses.spells import Residuals, level, smoothed, spells
 
 SAMPLES = 4000
 
 
-def left(values, terms=None):
+def residuals(values, terms=None):
     terms = np.ones((len(values), 1)) if terms is None else terms
-    return level(Left(values, np.ones(len(values)), terms))
+    return level(Residuals(values, np.ones(len(values)), terms))
 
 
 def telegraph(rng, share, mean):
@@ -57,23 +57,23 @@ def test_spells_that_no_sample_shows_are_found_with_their_size_share_and_number(
     there = telegraph(rng, 0.2, 16.0)
     values = 1.2 * there + rng.standard_normal(SAMPLES)
     one = np.ones(SAMPLES)
-    found = spells(left(values), [one], lasting=True)
+    found = spells(residuals(values), [one], lasting=True)
     assert found.size == pytest.approx(1.2, rel=0.1)
     assert found.share == pytest.approx(there.mean(), rel=0.25)
     # Short ones are not seen.
     assert 0.5 < found.count / np.sum(np.diff(there) > 0) < 1.1
     assert np.corrcoef(there, found.other)[0, 1] > 0.75
     # Each sample by itself tells no more than a longer tail would.
-    assert found.wins > 100 > 20 > spells(left(values), [one], lasting=False).wins
+    assert found.wins > 100 > 20 > spells(residuals(values), [one], lasting=False).wins
     for rival in ([-one], [one, -one]):
-        assert spells(left(values), rival, lasting=True).wins < found.wins - 10
+        assert spells(residuals(values), rival, lasting=True).wins < found.wins - 10
 
 
 @pytest.mark.parametrize("lasting", [True, False])
 def test_in_noise_spells_win_less_than_their_numbers_cost(lasting):
     rng = np.random.default_rng(3)
     form = np.sin(np.arange(SAMPLES) / 40)
-    wins = [spells(left(rng.standard_normal(SAMPLES)), [form], lasting).wins for _ in range(30)]
+    wins = [spells(residuals(rng.standard_normal(SAMPLES)), [form], lasting).wins for _ in range(30)]
     assert max(wins) < 0.5 * (3 if lasting else 2) * np.log(SAMPLES)
     # A share that is not quite nothing costs a little.
     assert min(wins) > -0.1
@@ -83,7 +83,9 @@ def test_the_usual_level_is_that_of_the_samples_that_are_usual():
     rng = np.random.default_rng(4)
     there, slope = telegraph(rng, 0.4, 30.0), np.linspace(-1, 1, SAMPLES)
     values = 0.5 + 2 * slope + 3.0 * there + rng.standard_normal(SAMPLES)
-    found = spells(left(values, np.column_stack([np.ones(SAMPLES), slope])), [np.ones(SAMPLES)], lasting=True)
+    found = spells(
+        residuals(values, np.column_stack([np.ones(SAMPLES), slope])), [np.ones(SAMPLES)], lasting=True
+    )
     gone = found.values - (values - 0.5 - 2 * slope)
     assert np.max(np.abs(gone)) < 0.15
     # All samples together have another.

@@ -38,10 +38,9 @@ def missing_of(
         trajectory: of that run, as simulated.
         predicted: (N, C) what its sensors would show: what they add to the truth is taken out of what was measured.
     """
-    pace = time_constants(trajectory.motor)
     motor, time = trajectory.motor, run.inputs.time_s
     masses = dict(zip(EQUATIONS, (motor.L, motor.J, motor.H), strict=True))
-    reach = filter_times(run, pace)
+    reach = filter_times(run, time_constants(motor))
     missing = balances_of(model, run, r, trajectory, predicted)
     for name, of in zip(EQUATIONS, STATE_OF.values(), strict=True):
         y, tau = measured_state(run, trajectory, predicted, of), reach[name]
@@ -51,7 +50,7 @@ def missing_of(
 
 
 def balances_of(model: Model, run: Run, r: int, trajectory: Trajectory, predicted: Array) -> dict[str, Array]:
-    """What changes each state, (N,): of a motor that the model knows, L di/dt, J dw/dt and H dtheta/dt.
+    """What each equation says, (N,): L di/dt in V, J dw/dt in N m and H dtheta/dt in W, if the model is right.
 
     Args: as of `missing_of`.
     """

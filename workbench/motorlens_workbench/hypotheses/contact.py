@@ -18,7 +18,7 @@ from motorlens_workbench.balances import balances_of, measured_state
 from motorlens_workbench.criteria import NEARLY
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
-from motorlens_workbench.hypotheses.spells import Left, Spells, level, spells
+from motorlens_workbench.hypotheses.spells import Residuals, Spells, level, spells
 
 Array = NDArray[np.float64]
 
@@ -88,14 +88,14 @@ class _Lacking:
         time_s: (M,) the middle of each.
         current_A: (M,) as measured.
         flows_A: (M,) as simulated: in that which was measured there is noise, which the equation lacks as well.
-        left: V, on the side of a drop, beyond a robust fit.
+        residuals: V, on the side of a drop, beyond a robust fit.
     """
 
     line: Line
     time_s: Array
     current_A: Array
     flows_A: Array
-    left: Left
+    residuals: Residuals
 
 
 def contacts(lines: Sequence[Line]) -> list[Hypothesis]:
@@ -149,24 +149,24 @@ def _lacking(line: Line) -> _Lacking | None:
     terms = terms / np.maximum(np.max(np.abs(terms), axis=0), np.finfo(np.float64).tiny)
     beyond = robust(terms, drop)
     stretches = np.array_split(beyond, max(min(MOST, len(beyond) // STRETCH), 1))
-    scale = np.concatenate([np.full(len(part), _deviation(part, beyond)) for part in stretches])
-    left = level(Left(beyond, scale, terms))
-    return _Lacking(line, mean(run.inputs.time_s)[used], mean(current)[used], flows, left)
+    scale = np.concatenate([np.full(len(part), deviation(part, beyond)) for part in stretches])
+    residuals = level(Residuals(beyond, scale, terms))
+    return _Lacking(line, mean(run.inputs.time_s)[used], mean(current)[used], flows, residuals)
 
 
 def robust(terms: Array, y: Array) -> Array:
     """Residuals (M,) of a robust fit of y (M,) by terms (M, k)."""
     weights = np.ones(len(y))
-    # What a filter leaves of a current long after it has ended is nothing to divide by.
+    # A current that has long decayed is nothing to divide by.
     terms = np.where(np.abs(terms) < np.finfo(np.float64).tiny, 0.0, terms)
     for _ in range(ROUNDS):
         root = np.sqrt(weights)
         error = np.asarray(y - terms @ np.linalg.lstsq(terms * root[:, None], y * root, rcond=None)[0])
-        weights = 1 / np.maximum(1.0, np.abs(error) / (HUBER * _deviation(error, y)))
+        weights = 1 / np.maximum(1.0, np.abs(error) / (HUBER * deviation(error, y)))
     return error
 
 
-def _deviation(error: Array, y: Array) -> float:
+def deviation(error: Array, y: Array) -> float:
     """Standard deviation of errors (M,) by the median; not quite nothing beside what they are the errors of."""
     return 1.4826 * float(np.median(np.abs(error))) + 1e-12 * float(np.max(np.abs(y), initial=1e-300))
 
@@ -180,26 +180,26 @@ def _contact(seen: _Lacking) -> Spells | None:
     even, way = np.ones_like(current), np.sign(current)
     # Less resistance, or as often less as more; and a voltage that does not go with the current.
     others = [[-current], [current, -current], [even], [-even], [even, -even], [way], [-way]]
-    lasting = spells(seen.left, [current], lasting=True)
+    lasting = spells(seen.residuals, [current], lasting=True)
     # Only where they may last is it told how many there are.
-    apart = replace(spells(seen.left, [current], lasting=False), count=lasting.count)
+    apart = replace(spells(seen.residuals, [current], lasting=False), count=lasting.count)
     # How much and how often are fitted, and for how long (Schwarz 1978, doi:10.1214/aos/1176344136).
     for bad, numbers in ((lasting, 3), (apart, 2)):
         least = bad.wins - NEARLY
         if least > 0.5 * numbers * np.log(len(current)) and all(
-            spells(seen.left, forms, bad is lasting).wins < least for forms in others
+            spells(seen.residuals, forms, bad is lasting).wins < least for forms in others
         ):
             return bad
     return None
 
 
 def _shape(most: _Lacking, bad: Spells, found: Sequence[tuple[_Lacking, Spells]]) -> Contact:
-    weights = bad.other * most.current_A / most.left.scale**2
+    weights = bad.other * most.current_A / most.residuals.scale**2
     by = float(weights @ bad.values / (weights @ most.current_A))
     # Where hardly a current flows nothing shows.
     kept = np.abs(most.current_A) > CARRIES * np.sqrt(np.mean(most.current_A**2))
     time, current, other = most.time_s[kept], most.current_A[kept], bad.other[kept]
-    more, sd = bad.values[kept] / current, most.left.scale[kept] / np.abs(current)
+    more, sd = bad.values[kept] / current, most.residuals.scale[kept] / np.abs(current)
     counts = np.convolve(other, np.ones(min(SHOWN, len(other))), mode="valid")
     window = slice(int(np.argmax(counts)), int(np.argmax(counts)) + SHOWN)
     missing = tuple((one.line.r, one.time_s, each.other * each.size * one.flows_A) for one, each in found)

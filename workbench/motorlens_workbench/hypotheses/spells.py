@@ -27,7 +27,7 @@ ALIKE = 1e-12
 
 
 @dataclass(frozen=True)
-class Left:
+class Residuals:
     """What a robust fit leaves.
 
     Attributes:
@@ -62,26 +62,27 @@ class Spells:
     other: Array
 
 
-def level(left: Left) -> Left:
+def level(residuals: Residuals) -> Residuals:
     """With the likeliest usual level, if all samples are usual."""
     likely = -np.inf
     for _ in range(STEPS):
-        before, likely = likely, float(np.sum(_likelihood(left.values, left.scale)))
+        before, likely = likely, float(np.sum(_likelihood(residuals.values, residuals.scale)))
         if likely < before + WINS:
             break
-        left = replace(left, values=_beyond_level(left, left.values, _pull(left.values, left.scale)))
-    return left
+        weights = _pull(residuals.values, residuals.scale)
+        residuals = replace(residuals, values=_beyond_level(residuals, residuals.values, weights))
+    return residuals
 
 
-def spells(left: Left, forms: Sequence[Array], lasting: bool) -> Spells:
+def spells(residuals: Residuals, forms: Sequence[Array], lasting: bool) -> Spells:
     """Samples that lie beyond the usual by a size times one of the forms (M,), each as likely as another.
 
     Args:
-        left: the samples.
+        residuals: the samples.
         forms: of what is other.
         lasting: whether a sample is likelier to be as the one before it, or as likely after any.
     """
-    values, scale = left.values, left.scale
+    values, scale = residuals.values, residuals.scale
     alone = np.sum(_likelihood(values, scale))
 
     def beyond(values: Array, size: float) -> Array:
@@ -113,17 +114,17 @@ def spells(left: Left, forms: Sequence[Array], lasting: bool) -> Spells:
         weights = usual + sum(pulls)
         # What the level is to be fitted to: without what is expected of the spells.
         rest = values - size * sum(pull * form for pull, form in zip(pulls, forms, strict=True)) / weights
-        values = values - rest + _beyond_level(left, rest, weights)
+        values = values - rest + _beyond_level(residuals, rest, weights)
         share = float(np.clip(other.sum() / len(values), *SHARES))
         stays = float(np.clip(again / other[:-1].sum(), share, 1 - 1 / len(values))) if lasting else share
     return Spells(wins, size, share, other.sum() - again, values, other.sum(axis=1))
 
 
-def _beyond_level(left: Left, values: Array, weights: Array) -> Array:
+def _beyond_level(residuals: Residuals, values: Array, weights: Array) -> Array:
     """What least squares with weights (M,) leave of values (M,)."""
-    weighted = left.terms.T * weights
+    weighted = residuals.terms.T * weights
     return np.asarray(
-        values - left.terms @ np.linalg.lstsq(weighted @ left.terms, weighted @ values, ALIKE)[0]
+        values - residuals.terms @ np.linalg.lstsq(weighted @ residuals.terms, weighted @ values, ALIKE)[0]
     )
 
 
