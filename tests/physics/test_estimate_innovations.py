@@ -16,7 +16,7 @@ from motorlens_physics.estimate.innovations import (
     spread,
     sums,
 )
-from motorlens_physics.estimate.model import sensitivities_of
+from motorlens_physics.estimate.model import TOLERANCE, sensitivities_of
 from motorlens_physics.estimate.noise import first_noise
 from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.prepare import prepare
@@ -205,7 +205,7 @@ def levels(held: bool, size: float, *, dithered: bool = False) -> tuple[np.ndarr
     model = replace(start_model(file, [run]), held=((held, held, held),))
     _, shown, _, linear = sensitivities_of(model, run, 0, ())
     error = run.measured - shown
-    noise = first_noise(run, error, PLATE.torque_Nm)
+    noise = first_noise(run, error, PLATE.torque_Nm, TOLERANCE)
     found, _ = likelier(noise, run, linear, error, run.there, 60)
     return np.sqrt(found.of_sensors(run)), np.sqrt(found.disturbances)
 
@@ -322,6 +322,6 @@ def test_noise_beneath_the_step_of_a_converter_is_found(sd: float, told: float) 
     run = replace(run, start={"i": 0.0, "w": 0.0, "theta": 0.0})
     _, shown, _, linear = sensitivities_of(start_model(MotorFile("plate", motor, PLATE), [run]), run, 0, ())
     error = run.measured - shown
-    noise = first_noise(run, error, PLATE.torque_Nm)
+    noise = first_noise(run, error, PLATE.torque_Nm, TOLERANCE)
     found, _ = likelier(noise, run, linear, error, run.there, 60)
     assert np.sqrt(found.of_sensors(run)) == pytest.approx([0.02, told * step], rel=0.06)

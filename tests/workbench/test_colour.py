@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motorlens_physics.estimate.model import TOLERANCE
 from motorlens_physics.estimate.noise import first_noise
 from motorlens_physics.estimate.prepare import prepare
 from motorlens_physics.motor_file import read_motor_file
@@ -29,7 +30,7 @@ def test_what_lies_between_two_levels_is_no_colour_of_the_noise(step: float) -> 
     channels = {"voltage": np.sign(np.sin(time)), "current": white, "speed": slow}
     run = prepare(Recording("coarse.csv", time, channels), read_motor_file(MOTOR))
     run = replace(run, steps=np.array([0.0, step]))
-    noise = first_noise(run, np.full((ROWS, 2), NOISE), 1.0)
+    noise = first_noise(run, np.full((ROWS, 2), NOISE), 1.0, TOLERANCE)
     # What came new to the speed a sample before shows in the current, which foretells nothing of itself.
     left = np.column_stack([white + 0.5 * np.roll(fresh, 1), 0.7 * slow])
     won = gain_of(run, left, fit_whitener(left, np.ones(ROWS, bool), np.zeros(2)), noise, 0)
@@ -52,7 +53,7 @@ def test_counts_that_come_late_and_are_made_up_for_are_no_colour(counted: bool) 
     run = prepare(Recording("counted.csv", time, channels), read_motor_file(MOTOR))
     whitener = coloured(run, left, 0)
     assert np.any(whitener.coefficients[:, 1]) != counted
-    won = gain_of(run, left, whitener, first_noise(run, np.full((ROWS, 2), NOISE), 1.0), 0)
+    won = gain_of(run, left, whitener, first_noise(run, np.full((ROWS, 2), NOISE), 1.0, TOLERANCE), 0)
     # What lasts in the current is worth as much either way; in the speed, half of its power to order 6.
     of_current = -ROWS * np.log(1 - REMAINS**2)
     of_speed = 0.0 if counted else ROWS * np.log(2 / (1 + 1 / 8))

@@ -295,7 +295,7 @@ def _added(fitted: Fitted, part: object, moved: dict[str, float]) -> tuple[Model
         with_effect(fitted.model, part) if isinstance(part, Effect) else with_sensor(fitted.model, part)  # type: ignore[arg-type]
     )
     name = part.name()  # type: ignore[attr-defined]
-    prior = fitted.prior.joined(part_prior(model.file, name)).joined(start_prior(model, name))
+    prior = fitted.prior.joined(part_prior(model.file, name, fitted.runs)).joined(start_prior(model, name))
     return model.with_values(moved), prior
 
 

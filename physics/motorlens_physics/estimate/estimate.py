@@ -37,6 +37,7 @@ from motorlens_physics.estimate.weighed import (
     minimised,
     needed,
     noisier,
+    simulated_as,
     with_colour,
     with_moments,
     with_rough_inputs,
@@ -292,7 +293,7 @@ def _with_shaft(near: Weighed, tolerance: float, prior: Prior) -> Weighed:
     if alike and tolerance == near.model.tolerance:
         return near
     parts = tuple(replace(part, run=run) for part, run in zip(near.parts, runs, strict=True))
-    return at(replace(near.model, tolerance=tolerance), replace(near, parts=parts), prior)
+    return simulated_as(replace(near, parts=parts), tolerance, prior)
 
 
 def _followed(model: Model, runs: Sequence[Run]) -> tuple[Run, ...]:

@@ -44,9 +44,10 @@ LASTS = (30.0, 300.0, 3000.0)
 SMALL_TORQUE = 0.01
 # Disturbances are followed down to this share of their largest.
 SMALLEST = 1e-8
-# Variances are believed down to this share of the channel's mean square: ten times the integration's own error, squared.
-# And in a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
-LEAST, TINY = 1e-9, 1e-12
+# Variances are believed down to this many squared tolerances of the simulation, as shares of the channel's mean square: ten
+# times the integration's own error, squared. And in a channel that shows nothing, down to a millionth of an ampere, rad/s or
+# kelvin, squared.
+LEAST, TINY = 10.0, 1e-12
 # The levels of a converter are no more even than this share of a step: its differential nonlinearity.
 UNEVEN_LEVELS = 0.1
 # Coloured noise has no more than this many times the variance that shows.
@@ -287,13 +288,20 @@ class Noise:
         return np.asarray(np.sqrt(AT_ANY_MOMENT) * np.where(changes > OUTLIER * noise_V, changes, 0.0))
 
 
-def first_noise(run: Run, residual: Array, torque_Nm: float) -> Noise:
-    """Where the estimate begins: sensors as noisy as the residual (N, C), inputs as noisy as they look, a small torque."""
+def first_noise(run: Run, residual: Array, torque_Nm: float, tolerance: float) -> Noise:
+    """Where the estimate begins: sensors as noisy as the residual (N, C), inputs as noisy as they look, a small torque.
+
+    Args:
+        run: the recording.
+        residual: (N, C) measured less simulated.
+        torque_Nm: rated.
+        tolerance: relative error of the simulation.
+    """
     size = np.array([np.mean(e[there] ** 2) if there.any() else 1.0 for e, there in _columns(residual, run)])
     scale = np.array(
         [np.mean(y[there] ** 2) if there.any() else 1.0 for y, there in _columns(run.measured, run)]
     )
-    floor = np.maximum((UNEVEN_LEVELS * run.steps) ** 2, np.maximum(LEAST * scale, TINY))
+    floor = np.maximum((UNEVEN_LEVELS * run.steps) ** 2, np.maximum(LEAST * tolerance**2 * scale, TINY))
     shown = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
     looks, most = (
         np.array([of(y, step) ** 2 + step**2 / 12 for y, step in zip(shown, run.input_step, strict=True)])

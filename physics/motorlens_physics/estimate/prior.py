@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.forcing import SETTLED
 from motorlens_physics.estimate.model import Model, parts_of
 from motorlens_physics.estimate.run import FIRST, STATE_OF, Run
+from motorlens_physics.estimate.signals import noise_sd
 from motorlens_physics.motor_file import Knowledge, MotorFile, Stated
 
 Array = NDArray[np.float64]
@@ -33,8 +34,9 @@ CALIBRATED = "calibrated on "
 TAKEN = "taken, as nothing was stated"
 # A share of the value in the motor file below which no textbook parameter may fall: none is 20 times off.
 LEAST = 0.05
-# A width is no less than this share of what it typically is: what is sharper acts as that does, and a fit has nothing to go
-# by (`test_estimate_smooth_drive.py`: with no such end some fits wander there and do not converge).
+# A width is no less than this share of what it typically is, or than the noise of the speed if that is less: what is sharper
+# acts as that does, and a fit has nothing to go by (`test_estimate_smooth_drive.py`: with no such end some fits wander there
+# and do not converge).
 SHARPEST = 0.1
 # Nuisances are for small things: what would need more of them than this many standard deviations is something else.
 WITHIN = 4.0
@@ -126,7 +128,7 @@ def base_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:
     names = frozenset(run.name for run in runs)
     prior = textbook_prior(file, names)
     for part in parts_of(file):
-        prior = prior.joined(part_prior(file, part.name(), names))
+        prior = prior.joined(part_prior(file, part.name(), runs))
     return prior.joined(nuisance_prior(file, runs))
 
 
@@ -198,16 +200,16 @@ def _learnt(one: Stated, recordings: Set[str]) -> bool:
     return one.sd > 0 and (one.source.startswith(FITTED) or not recordings.isdisjoint(calibrated_on(one)))
 
 
-def part_prior(file: MotorFile, name: str, recordings: Set[str] = frozenset()) -> Prior:
+def part_prior(file: MotorFile, name: str, runs: Sequence[Run] = ()) -> Prior:
     """The free parameters of an effect or a sensor model of the file: wide around their value, within their bounds.
 
     Args:
         file: the motor file.
         name: of the effect or sensor model.
-        recordings: names of those that it is fitted to, see `stated`.
+        runs: what it is fitted to, see `stated`.
     """
     part = next(part for part in parts_of(file) if part.name() == name)
-    prior = NOTHING
+    prior, recordings = NOTHING, frozenset(run.name for run in runs)
     for parameter, meaning in part.parameters().items():
         key = f"{name}.{parameter}"
         known = held_to(file, key, recordings)
@@ -215,9 +217,18 @@ def part_prior(file: MotorFile, name: str, recordings: Set[str] = frozenset()) -
             continue
         low, high = meaning.bounds
         if meaning.role == "width":
-            low = max(low, SHARPEST * meaning.typical(file.rated))
+            low = max(low, min(SHARPEST * meaning.typical(file.rated), *map(_speed_noise, runs)))
         prior = prior.joined(Prior({key: known.value}, {key: known.sd}, {key: (low, high)}))
     return prior
+
+
+def _speed_noise(run: Run) -> float:
+    """Standard deviation of the noise of a measured speed, rad/s, that of its converter included; infinite if none was."""
+    if "speed" not in run.channels:
+        return np.inf
+    k = run.channels.index("speed")
+    step = float(run.steps[k])
+    return float(np.hypot(noise_sd(run.measured[:, k], step), step / np.sqrt(12)))
 
 
 def nuisance_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:

@@ -490,11 +490,28 @@ def moved_on(y: NDArray[Any], samples: Sequence[int]) -> NDArray[Any]:
 
 def first_point(model: Model, runs: Sequence[Run]) -> Weighed:
     """The point at a model with all samples, and noise as large as the errors there; it has no normal equations."""
-    torque = model.file.rated.torque_Nm
-    unknown = [first_noise(run, np.ones_like(run.measured), torque) for run in runs]
+    unknown = [_nothing_known(model, run) for run in runs]
     point = weighed(model, runs, unknown, [run.there for run in runs], ())
-    parts = [replace(part, noise=first_noise(part.run, part.error, torque)) for part in point.parts]
+    torque = model.file.rated.torque_Nm
+    parts = [
+        replace(part, noise=first_noise(part.run, part.error, torque, model.tolerance))
+        for part in point.parts
+    ]
     return replace(point, parts=tuple(parts))
+
+
+def _nothing_known(model: Model, run: Run) -> Noise:
+    """The noise of a run that has not been simulated yet."""
+    return first_noise(run, np.ones_like(run.measured), model.file.rated.torque_Nm, model.tolerance)
+
+
+def simulated_as(point: Weighed, tolerance: float, prior: Prior) -> Weighed:
+    """The same point, simulated this exactly, with noise that is believed as far as that."""
+    model = replace(point.model, tolerance=tolerance)
+    parts = tuple(
+        replace(part, noise=_nothing_known(model, part.run).like(part.noise)) for part in point.parts
+    )
+    return at(model, replace(point, parts=parts), prior)
 
 
 def begun(model: Model, runs: Sequence[Run], prior: Prior) -> Weighed:
@@ -504,11 +521,7 @@ def begun(model: Model, runs: Sequence[Run], prior: Prior) -> Weighed:
 
 def from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise], prior: Prior) -> Weighed:
     """A point with noise that was found before, along inputs corrected by it."""
-    torque = model.file.rated.torque_Nm
-    noises = [
-        first_noise(run, np.ones_like(run.measured), torque).like(found)
-        for run, found in zip(runs, noises, strict=True)
-    ]
+    noises = [_nothing_known(model, run).like(found) for run, found in zip(runs, noises, strict=True)]
     # At first by what shows in the inputs alone.
     runs = [without_noise(run, noise) for run, noise in zip(runs, noises, strict=True)]
     point = weighed(model, runs, noises, [run.there for run in runs], ())

@@ -90,11 +90,12 @@ def _likelier(
         return here, replace(accepted, instead={**accepted.instead, name: -np.inf})
     likelier = 0.5 * (_odds(rivals, other, one) + _odds(_in_the_place_of(there, new, one), other, one))
     won = residual_of(here, there.fitted).likelier_by_block(here.residual)
-    agreed = told_apart(won if likelier > 0 else -won)
+    for_it, against = told_apart(won), told_apart(-won)
     # What recordings tell is worth no more than they agree on; how far either shape is from what it may be is known besides.
-    likelier = float(np.clip(likelier, -agreed, agreed))
+    likelier = float(np.clip(likelier, -against, for_it))
     likelier += log_shape(other, there.fitted) - log_shape(one, here.fitted)
-    if holds and likelier > 0:
+    # However alike two names are held to be, the model goes on with the one that recordings agree on.
+    if holds and likelier > against:
         # What others were worth beside the one they are worth as much less beside the likelier.
         instead, beside = (
             {known: how - likelier for known, how in of.items() if known != name}
