@@ -114,8 +114,10 @@ def test_what_explains_as_much_is_a_rival_where_hardly_anything_is_likelier_than
     assert 0.5 < odds < 2.0 and 0.5 < then < 2.0
 
 
-# Twice the logarithm by which each of 64 blocks of time is likelier with the rival: all alike; all of it in one block.
+# Twice the logarithm by which each of 64 blocks of time is likelier with the rival: all alike; all of it in one block; less
+# likely, but for chance.
 AGREED = 0.5 + 0.2 * np.random.default_rng(2).standard_normal(64)
+OPEN = np.r_[np.ones(31), -np.ones(33)]
 ONE_BLOCK = np.r_[32.0, np.zeros(63)]
 
 
@@ -126,7 +128,8 @@ ONE_BLOCK = np.r_[32.0, np.zeros(63)]
         ("beyond chance", 0.9, -AGREED, 0.0, "name", {"rival": 0.0}),
         ("beyond chance", 0.999, ONE_BLOCK, 0.0, "rival", {"name": -2.0}),
         ("beyond chance", 0.9, AGREED, -4.5, "name", {"rival": 0.5 * np.log(4.0 * 9.0) - 4.5}),
-        ("beyond chance", 0.9, -AGREED, 1.0, "rival", {"name": -1.0}),
+        ("beyond chance", 0.9, OPEN, 1.0, "rival", {"name": -1.0}),
+        ("beyond chance", 0.9, -AGREED, 1.0, "name", {"rival": 0.0}),
         ("beyond chance", 0.01, AGREED, 0.0, "name", {"rival": 0.0}),
         ("beyond chance", 0.01, -AGREED, 0.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
         ("by chance", 0.9, AGREED, 0.0, "name", {"rival": 0.0}),
@@ -139,6 +142,7 @@ ONE_BLOCK = np.r_[32.0, np.zeros(63)]
         "one block of time says so",
         "but its shape is three deviations from what it may be",
         "its shape is likelier, and nothing else tells them apart",
+        "its shape is likelier, but it leaves what is less likely",
         "its own model does not say so, though it leaves what is likelier",
         "nothing says so",
         "but it may be there by chance",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from motorlens_physics.estimate.forcing import SETTLED
 from motorlens_physics.estimate.model import Model, parts_of
 from motorlens_physics.estimate.run import FIRST, STATE_OF, Run
-from motorlens_physics.estimate.signals import noise_sd
+from motorlens_physics.estimate.signals import most_noise_sd
 from motorlens_physics.motor_file import Knowledge, MotorFile, Stated
 
 Array = NDArray[np.float64]
@@ -223,12 +223,12 @@ def part_prior(file: MotorFile, name: str, runs: Sequence[Run] = ()) -> Prior:
 
 
 def _speed_noise(run: Run) -> float:
-    """Standard deviation of the noise of a measured speed, rad/s, that of its converter included; infinite if none was."""
+    """The largest that the noise of a measured speed can be, rad/s, its converter's included; infinite if none was measured."""
     if "speed" not in run.channels:
         return np.inf
     k = run.channels.index("speed")
     step = float(run.steps[k])
-    return float(np.hypot(noise_sd(run.measured[:, k], step), step / np.sqrt(12)))
+    return float(np.hypot(most_noise_sd(run.measured[:, k], step), step / np.sqrt(12)))
 
 
 def nuisance_prior(file: MotorFile, runs: Sequence[Run]) -> Prior:

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 # Smallest deviation of an innovation that is believed, in those that the noise states.
 SMALLEST = 1e-3
+# A variance this near to the smallest that is believed is that.
+ROUNDED = 1e-6
 
 
 def coloured(run: Run, white: Array, used: int) -> Whitener:
@@ -54,7 +56,7 @@ def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise, used: int)
         noise: of the recording.
         used: parameters already spent on the innovations.
     """
-    fine = noise.of_sensors(run) > np.maximum(noise.floor, run.steps**2 / 12)
+    fine = noise.of_sensors(run) > (1 + ROUNDED) * np.maximum(noise.floor, run.steps**2 / 12)
     if not fine.any():
         return 0.0
     if not fine.all():

@@ -5,40 +5,62 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from motorlens_physics.estimate.free_run import floor_of
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensitivity import INITIAL
 from motorlens_workbench.evidence.ledger import Ledger
-from motorlens_workbench.evidence.score import inverse
 from motorlens_workbench.hypotheses.line import Line
 
 Array = NDArray[np.float64]
 
 FOLDS = 6
+# A direction of the parameters of which the other folds tell less than this share of what all do is told by one nearly alone:
+# of what all folds tell alike they tell five sixths.
+TOLD = 0.1
 
 
 def held_out_errors(book: Ledger, lines: Sequence[Line]) -> list[Array]:
     """(N, C) of each run, the error on each block of time with parameters that were not fitted to it.
 
     The blocks of a fold are spread evenly over the recordings, so that each fold sees every operating region; the fitted
-    parameters are solved again, linearised, without each fold in turn. Where a run started is told by its first block
-    alone, and stays.
+    parameters are solved again, linearised, without each fold in turn. What is told by one fold nearly alone stays, see
+    `TOLD`: an inertia by the only start from rest. So does where a run started, which its first block tells.
     """
     moving = [k for k, key in enumerate(book.keys) if not key.startswith(INITIAL)]
     errors = [line.error.copy() for line in lines]
     folds = np.arange(len(book.blocks)) % FOLDS
     for fold in range(FOLDS):
         kept = book.base[folds != fold].sum(axis=0)
-        gram = kept[np.ix_(moving, moving)] + np.eye(len(moving))
-        moves = dict(zip(moving, inverse(gram) @ (kept[moving, -1] + book.pull[moving]), strict=True))
+        known = np.eye(len(moving))
+        gram, full = (of[np.ix_(moving, moving)] + known for of in (kept, book.base.sum(axis=0)))
+        moves = dict(zip(moving, _moves(gram, full, kept[moving, -1] + book.pull[moving]), strict=True))
         for (r, rows), where in zip(book.blocks, folds, strict=True):
             if where != fold:
                 continue
             steps = [moves.get(book.keys.index(key), 0.0) * book.unit[key] for key in lines[r].keys]
             errors[r][rows] -= lines[r].own[rows] @ np.array(steps)
     return errors
+
+
+def _moves(gram: Array, full: Array, gradient: Array) -> Array:
+    """Where parameters (k,) go without a fold, along what the others tell.
+
+    Args:
+        gram: information (k, k) of the other folds, with what is known beforehand.
+        full: the same of all.
+        gradient: (k,) of the others.
+
+    >>> _moves(np.diag([5.0, 0.1]), np.diag([6.0, 6.0]), np.array([10.0, 10.0]))
+    array([2., 0.])
+    """
+    scale = np.sqrt(np.diagonal(full))
+    shares, along = eigh(gram / np.outer(scale, scale), full / np.outer(scale, scale))
+    told = shares >= TOLD
+    into = (along.T @ (gradient / scale))[told] / shares[told]
+    return np.asarray(along[:, told] @ into / scale)
 
 
 def held_out(book: Ledger, lines: Sequence[Line]) -> dict[str, float]:
