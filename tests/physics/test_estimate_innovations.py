@@ -16,7 +16,8 @@ from motorlens_physics.estimate.innovations import (
     spread,
     sums,
 )
-from motorlens_physics.estimate.model import TOLERANCE, sensitivities_of
+from motorlens_physics.estimate.estimate import COARSE
+from motorlens_physics.estimate.model import TOLERANCE, predict, sensitivities_of
 from motorlens_physics.estimate.noise import first_noise
 from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.prepare import prepare
@@ -195,6 +196,28 @@ def noisy(held: bool, size: float, *, dithered: bool = False) -> tuple[Recording
         "speed": truth.speed_rad_s + 0.44 * size * rng.standard_normal(rows),
     }
     return Recording("noisy", time, shown), MotorFile("plate", Motor(), PLATE)
+
+
+@pytest.mark.parametrize("tolerance", [COARSE, TOLERANCE])
+@pytest.mark.parametrize("period_s", [1e-3, 0.1, 1.0])
+def test_noise_is_believed_down_to_well_above_what_simulations_are_off_by(
+    period_s: float, tolerance: float
+) -> None:
+    """The oracle is the same simulation a million times as exact, of steps from 30 samples to the next."""
+    rng, rows = np.random.default_rng(1), 3000
+    volts = np.repeat(rng.uniform(-200.0, 200.0, rows // 30), 30)
+    load = np.repeat(rng.uniform(0.0, 6.0, rows // 30), 30) * np.sign(volts)
+    noise = rng.standard_normal((2, rows))
+    shown = {"voltage": volts, "load_torque": load, "current": noise[0], "speed": noise[1]}
+    file = MotorFile("plate", Motor(), PLATE)
+    run = prepare(Recording("steps", np.arange(rows) * period_s, shown), file)
+    model = start_model(file, [run])
+    _, exact = predict(replace(model, tolerance=1e-10), run, 0)
+    run = replace(run, measured=exact)
+    error = predict(replace(model, tolerance=tolerance), run, 0)[1] - exact
+    floor = np.sqrt(first_noise(run, error, PLATE.torque_Nm, tolerance).floor)
+    assert np.all(10 * np.sqrt(np.mean(error**2, axis=0)) < floor)
+    assert np.all(floor < 1e-3 * np.sqrt(np.mean(exact**2, axis=0)))
 
 
 def levels(held: bool, size: float, *, dithered: bool = False) -> tuple[np.ndarray, np.ndarray]:

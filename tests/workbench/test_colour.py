@@ -58,3 +58,18 @@ def test_counts_that_come_late_and_are_made_up_for_are_no_colour(counted: bool) 
     of_current = -ROWS * np.log(1 - REMAINS**2)
     of_speed = 0.0 if counted else ROWS * np.log(2 / (1 + 1 / 8))
     assert won == pytest.approx(of_current + of_speed, rel=0.15)
+
+
+@pytest.mark.parametrize("times", [1 + 1e-12, 1.5])
+def test_what_is_as_small_as_is_believed_of_any_noise_has_no_colour(times: float) -> None:
+    """A simulation without noise: what it leaves lasts, and is nothing; but a deviation more than that counts."""
+    rng = np.random.default_rng(5)
+    left = np.cumsum(rng.standard_normal((ROWS, 2)), axis=0)
+    left *= 0.02 / np.std(left, axis=0)
+    time = np.arange(ROWS) * 0.01
+    channels = {"voltage": np.sign(np.sin(time)), "current": rng.standard_normal(ROWS), "speed": np.cos(time)}
+    run = prepare(Recording("quiet.csv", time, channels), read_motor_file(MOTOR))
+    noise = first_noise(run, np.zeros((ROWS, 2)), 1.0, TOLERANCE)
+    noise = replace(noise, sensors=times * noise.floor[:, None])
+    won = gain_of(run, left, coloured(run, left, 0), noise, 0)
+    assert won == 0.0 if times < 1.1 else won > ROWS

@@ -281,6 +281,28 @@ def test_errors_of_a_fifth_of_all_folds_are_those_of_parameters_fitted_to_the_ot
         assert found[~kept, 0] == pytest.approx((error - base @ fitted)[~kept], abs=1e-9)
 
 
+def test_what_one_block_nearly_alone_tells_stays_where_that_is_held_out(problem):
+    """An inertia, by the only start from rest: as the others tell it, the start would be far off."""
+    from types import SimpleNamespace
+
+    from motorlens_workbench.evidence.held_out import FOLDS, held_out_errors
+
+    columns, error = problem
+    fold = np.repeat(np.arange(BLOCKS) % FOLDS, ROWS // BLOCKS)
+    base, first = columns[:, :2].copy(), np.arange(ROWS) < ROWS // BLOCKS
+    base[:, 1] *= 0.03
+    base[first, 1] = 3.0
+    error = error + np.where(first, 0.0, base[:, 1])
+    book = book_of(base, [], error)
+    line = SimpleNamespace(error=error[:, None], own=base[:, None, :], keys=book.keys, r=0)
+    (found,) = held_out_errors(book, [line])  # type: ignore[list-item]
+    alone = np.linalg.lstsq(base[fold > 0], error[fold > 0], rcond=None)[0]
+    left, otherwise = error[first] - found[first, 0], (base @ alone)[first]
+    # With it where it is, the rest is the regression on the other column.
+    only = base[fold > 0, 0] @ error[fold > 0] / np.sum(base[fold > 0, 0] ** 2)
+    assert np.sqrt(np.mean((left - only * base[first, 0]) ** 2)) < 0.1 < 1.0 < np.sqrt(np.mean(otherwise**2))
+
+
 def test_what_is_left_is_shared_out_to_recordings_in_units_of_their_noise():
     """Of two runs one is twice as far off in a channel of half the noise: 16 of 17 parts of the squares."""
     from types import SimpleNamespace

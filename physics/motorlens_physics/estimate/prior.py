@@ -223,7 +223,7 @@ def part_prior(file: MotorFile, name: str, runs: Sequence[Run] = ()) -> Prior:
 
 
 def _speed_noise(run: Run) -> float:
-    """The largest that the noise of a measured speed can be, rad/s, its converter's included; infinite if none was measured."""
+    """The largest that the noise of a measured speed can be, rad/s, its converter's included; infinite without one."""
     if "speed" not in run.channels:
         return np.inf
     k = run.channels.index("speed")

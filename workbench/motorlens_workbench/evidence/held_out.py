@@ -17,8 +17,8 @@ from motorlens_workbench.hypotheses.line import Line
 Array = NDArray[np.float64]
 
 FOLDS = 6
-# A direction of the parameters of which the other folds tell less than this share of what all do is told by one nearly alone:
-# of what all folds tell alike they tell five sixths.
+# A direction of the parameters of which the other folds tell less than this share of what all do is told by one nearly
+# alone: of what all folds tell alike they tell five sixths.
 TOLD = 0.1
 
 
