@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from motorlens_physics.estimate.estimate import COARSE
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.innovations import (
     StateSpace,
@@ -16,7 +17,6 @@ from motorlens_physics.estimate.innovations import (
     spread,
     sums,
 )
-from motorlens_physics.estimate.estimate import COARSE
 from motorlens_physics.estimate.model import TOLERANCE, predict, sensitivities_of
 from motorlens_physics.estimate.noise import first_noise
 from motorlens_physics.estimate.noise_likelihood import likelier

@@ -45,8 +45,8 @@ SMALL_TORQUE = 0.01
 # Disturbances are followed down to this share of their largest.
 SMALLEST = 1e-8
 # Variances are believed down to this many squared tolerances of the simulation, as shares of the channel's mean square: its
-# own errors are a few hundredths of that (`test_estimate_innovations.py`), and models agree to no more digits with each other
-# on what happens at rest. In a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
+# own errors are a few hundredths of that (`test_estimate_innovations.py`), and models agree to no more digits with each
+# other on what happens at rest. In a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
 LEAST, TINY = 10.0, 1e-12
 # The levels of a converter are no more even than this share of a step: its differential nonlinearity.
 UNEVEN_LEVELS = 0.1
