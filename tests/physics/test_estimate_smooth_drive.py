@@ -84,7 +84,7 @@ def test_the_speed_at_which_friction_has_built_up_is_found(width_rad_s: float, s
 @pytest.mark.fit
 @pytest.mark.parametrize("seed", [20, 21])
 def test_how_sharp_friction_sets_in_is_found_as_far_as_the_speed_shows_it(seed: int) -> None:
-    """With no less than a tenth of what is typical it ended there, four times as wide, and a resistance was 4 to 8 sd off."""
+    """With no less than a tenth of what is typical it ended there, four times as wide, a resistance 4 to 8 sd off."""
     found = fitted(0.1, seed, {}, noise=5e-5)
     value, sd = found.fit.model.values(), found.fit.sd()
     assert found.converged
