@@ -217,7 +217,7 @@ def part_prior(file: MotorFile, name: str, runs: Sequence[Run] = ()) -> Prior:
             continue
         low, high = meaning.bounds
         if meaning.role == "width":
-            low = max(low, min(SHARPEST * meaning.typical(file.rated), *map(_speed_noise, runs)))
+            low = max(low, min([SHARPEST * meaning.typical(file.rated), *map(_speed_noise, runs)]))
         prior = prior.joined(Prior({key: known.value}, {key: known.sd}, {key: (low, high)}))
     return prior
 
