@@ -21,9 +21,7 @@ PLATE = Rated(
 SAMPLES, PERIOD_S, NOISE, FRICTION_NM = 2000, 0.004, 0.002, 0.3
 
 
-def fitted(
-    width_rad_s: float, seed: int, knowledge: dict[str, Knowledge], noise: float = NOISE
-) -> Estimate:
+def fitted(width_rad_s: float, seed: int, knowledge: dict[str, Knowledge], noise: float = NOISE) -> Estimate:
     """The estimate from a recording of a motor whose friction has built up at that speed."""
     time, m = np.arange(SAMPLES) * PERIOD_S, TYPICAL
 

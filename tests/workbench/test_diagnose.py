@@ -203,6 +203,34 @@ def test_what_is_in_no_catalogue_gets_no_name_but_its_shape(rough):
 
 @pytest.mark.long
 @pytest.mark.fit
+def test_a_friction_is_told_alone_of_a_recording_without_noise(rough):
+    """It ends where the rotor does, sharper than a width was let be: a Stribeck friction of 1.2 N m was told beside it."""
+    file = read_motor_file(MOTOR)
+    friction = replace(catalogue()["coulomb_friction"].typical(file.rated), tau_c=0.3)
+    file = replace(file, motor=file.motor.with_effect(friction))
+    truth = perform(file, scenarios()["load_steps"](), np.random.default_rng(0))
+    found, document = diagnosed(rough, measure(truth, (), {}, np.random.default_rng(0)))
+    assert document["chosen"] == ["coulomb_friction"]
+    (one,) = found.outcome.accepted
+    size, sd = measured(found, one)
+    assert abs(size - 0.3) < 3 * sd < 0.01
+
+
+@pytest.mark.long
+@pytest.mark.fit
+def test_the_only_start_from_rest_is_no_error_of_a_model(rough):
+    """Once a second since it was switched on: held out, the start had left 16 A, and the cooling was said to change at once."""
+    truth = perform(read_motor_file(MOTOR), scenarios()["direct_on_line"](), np.random.default_rng(1))
+    noise = {"voltage": 0.48, "current": 0.0145, "speed": 0.44, "temperature": 0.16, "load_torque": 0.013}
+    _, document = diagnosed(rough, measure(truth, (), noise, np.random.default_rng(1)))
+    assert document["verdict"] == "adequate"
+    errors = document["error"]
+    for channel, error in errors["before"].items():
+        assert 0.7 < error / errors["noise_floor"][channel] < 2.0
+
+
+@pytest.mark.long
+@pytest.mark.fit
 def test_a_size_is_right_in_a_motor_that_was_calibrated_on_the_same_recording_without_it(rough):
     """Held to what was fitted without the drag, it came out at half its size, 5.6 stated deviations off."""
     drag = catalogue()["quadratic_drag"].typical(rough.rated).c
