@@ -219,7 +219,7 @@ def test_a_friction_is_told_alone_of_a_recording_without_noise(rough):
 @pytest.mark.long
 @pytest.mark.fit
 def test_the_only_start_from_rest_is_no_error_of_a_model(rough):
-    """Once a second since it was switched on: held out, the start had left 16 A, and the cooling was said to change at once."""
+    """Once a second since it was switched on: held out, the start left 16 A, and the cooling was said to change at once."""
     truth = perform(read_motor_file(MOTOR), scenarios()["direct_on_line"](), np.random.default_rng(1))
     noise = {"voltage": 0.48, "current": 0.0145, "speed": 0.44, "temperature": 0.16, "load_torque": 0.013}
     _, document = diagnosed(rough, measure(truth, (), noise, np.random.default_rng(1)))
