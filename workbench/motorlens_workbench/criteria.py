@@ -29,7 +29,8 @@ class Criteria:
     `--seed 37` they have 0.66 and 1.35 (b against speed, 10 bit at near standstill): one of 40 is `unknown`.
     Of those of `--seed 38` 0.00 and 0.55; all are adequate.
     Of those of `--seed 39` 0.62 and 1.27 (a torque against speed, 10 bit): one of 40 is `unknown`, none is named.
-    Of those of `--seed 40` 0.03 and 0.43, of `--seed 42` 0.26 and 0.94; all are adequate.
+    Of those of `--seed 40` 0.03 and 0.43, of `--seed 42` 0.26 and 0.94, of `--seed 43` 0.23 and 0.48; all are adequate.
+    Of those of `--seed 44` 0.43 and 1.22 (a torque about one speed): one of 40 is `unknown`, none is named.
     Flips of signs alone would put `excess` near 5: misfit that is no missing physics has the same sign in every block.
 
     Attributes:
