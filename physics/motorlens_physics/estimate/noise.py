@@ -44,10 +44,10 @@ LASTS = (30.0, 300.0, 3000.0)
 SMALL_TORQUE = 0.01
 # Disturbances are followed down to this share of their largest.
 SMALLEST = 1e-8
-# Variances are believed down to this many squared tolerances of the simulation, as shares of the channel's mean square: its
-# own errors are a few hundredths of that (`test_estimate_innovations.py`), and models agree to no more digits with each
+# Variances are believed down to this share of the simulation's tolerance, as shares of the channel's mean square: its own
+# errors are a few hundredths of that (`test_estimate_innovations.py`), and models agree to no more digits with each
 # other on what happens at rest. In a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
-LEAST, TINY = 10.0, 1e-12
+LEAST, TINY = 1e-4, 1e-12
 # The levels of a converter are no more even than this share of a step: its differential nonlinearity.
 UNEVEN_LEVELS = 0.1
 # Coloured noise has no more than this many times the variance that shows.
@@ -301,7 +301,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float, tolerance: float) -
     scale = np.array(
         [np.mean(y[there] ** 2) if there.any() else 1.0 for y, there in _columns(run.measured, run)]
     )
-    floor = np.maximum((UNEVEN_LEVELS * run.steps) ** 2, np.maximum(LEAST * tolerance**2 * scale, TINY))
+    floor = np.maximum((UNEVEN_LEVELS * run.steps) ** 2, np.maximum(LEAST * tolerance * scale, TINY))
     shown = (run.inputs.voltage_V, run.inputs.load_torque_Nm)
     looks, most = (
         np.array([of(y, step) ** 2 + step**2 / 12 for y, step in zip(shown, run.input_step, strict=True)])
