@@ -1,20 +1,25 @@
 """What is known of parameters beforehand: densities by scipy, and motors of which recordings tell little else."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from helpers.hidden import plant
 from scipy.stats import gamma, norm
 
+from motorlens_physics.effect import Effect
+from motorlens_physics.effects.coulomb_friction import CoulombFriction
 from motorlens_physics.effects.stribeck_friction import StribeckFriction
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import Fit
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.prepare import prepare_all
-from motorlens_physics.estimate.prior import TAKEN, Prior
+from motorlens_physics.estimate.prior import TAKEN, Prior, base_prior
 from motorlens_physics.estimate.report import findings
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile, Stated, voltage_commanded
-from motorlens_physics.parameter import Rated
+from motorlens_physics.ops import tanh
+from motorlens_physics.parameter import Rated, param
 from motorlens_physics.recording import Recording
 
 CENTRE, SD = 0.47, 0.12
@@ -45,6 +50,31 @@ def test_widths_and_pulls_are_those_of_the_density(ke):
     width, pull = (of({"ke": ke, "load": 0.1})[0] for of in (KNOWN.width, KNOWN.pull))
     assert 1 / width**2 == pytest.approx(0.5 * (below - 2 * here + above) / step**2, rel=1e-4)
     assert pull / width == pytest.approx(-0.5 * (above - below) / (2 * step), rel=1e-4, abs=1e-4)
+
+
+@dataclass(frozen=True)
+class SharpDrop(Effect):
+    """A drop that has built up at a current: its width is none of the speed's."""
+
+    V: float = param(0.0, "V", "drop", bounds=(0.0, 10.0), prior=0.01, of="voltage", null=0.0)
+    i_s: float = param(0.1, "A", "width", bounds=(1e-6, 9.0), prior=0.02, of="current", role="width")
+
+    def voltage(self, m, x, u):
+        return -self.V * tanh(x.i / self.i_s)
+
+
+@pytest.mark.parametrize(("noise", "shows"), [(0.01, True), (10.0, False)])
+def test_a_width_ends_where_the_speed_shows_no_sharper_if_it_is_that_of_a_speed(noise, shows):
+    plate = Rated(voltage_V=240.0, current_A=7.27, speed_rad_s=221.0, torque_Nm=6.455, rise_K=80.0)
+    friction, drop = CoulombFriction.typical(plate), SharpDrop.typical(plate)
+    file = MotorFile("plate", Motor(effects=(friction, drop)), plate)
+    time, rng = np.arange(4000) * 0.01, np.random.default_rng(0)
+    speed = 100 * np.sin(time) + noise * rng.standard_normal(4000)
+    runs = prepare_all([Recording("a.csv", time, {"voltage": 100 * np.sin(time), "speed": speed})], file)
+    bounds = base_prior(file, runs).bounds
+    ends = {key: bounds[key][0] for key in ("coulomb_friction.w_s", "sharp_drop.i_s")}
+    assert ends["sharp_drop.i_s"] == pytest.approx(0.1 * drop.i_s)
+    assert ends["coulomb_friction.w_s"] == pytest.approx(noise if shows else 0.1 * friction.w_s, rel=0.1)
 
 
 @pytest.mark.long

@@ -44,9 +44,11 @@ LASTS = (30.0, 300.0, 3000.0)
 SMALL_TORQUE = 0.01
 # Disturbances are followed down to this share of their largest.
 SMALLEST = 1e-8
-# Variances are believed down to this share of the simulation's tolerance, as shares of the channel's mean square: its own
-# errors are a few hundredths of that (`test_estimate_innovations.py`), and models agree to no more digits with each
-# other on what happens at rest. In a channel that shows nothing, down to a millionth of an ampere, rad/s or kelvin, squared.
+# Variances are believed down to this many tolerances of the simulation, as shares of the channel's mean square. Its own
+# errors are less than a twentieth of such a deviation (`test_estimate_innovations.py`); smooth friction is off by more
+# where a rotor stops. With the square of the tolerance, to the same at its finest, a coarse simulation would drown the
+# step of an encoder (`test_estimate_prior.py`). In a channel that shows nothing, down to a millionth of an ampere, rad/s
+# or kelvin, squared.
 LEAST, TINY = 1e-4, 1e-12
 # The levels of a converter are no more even than this share of a step: its differential nonlinearity.
 UNEVEN_LEVELS = 0.1

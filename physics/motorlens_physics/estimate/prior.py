@@ -34,9 +34,9 @@ CALIBRATED = "calibrated on "
 TAKEN = "taken, as nothing was stated"
 # A share of the value in the motor file below which no textbook parameter may fall: none is 20 times off.
 LEAST = 0.05
-# A width is no less than this share of what it typically is, or than the noise of the speed if that is less: what is sharper
-# acts as that does, and a fit has nothing to go by (`test_estimate_smooth_drive.py`: with no such end some fits wander there
-# and do not converge).
+# A width is no less than this share of what it typically is, or, that of a speed, than the noise of the speed if that is
+# less: what is sharper acts as that does, and a fit has nothing to go by (`test_estimate_smooth_drive.py`: with no such
+# end some fits wander there and do not converge).
 SHARPEST = 0.1
 # Nuisances are for small things: what would need more of them than this many standard deviations is something else.
 WITHIN = 4.0
@@ -206,7 +206,7 @@ def part_prior(file: MotorFile, name: str, runs: Sequence[Run] = ()) -> Prior:
     Args:
         file: the motor file.
         name: of the effect or sensor model.
-        runs: what it is fitted to, see `stated`.
+        runs: what it is fitted to, see `stated` and `SHARPEST`.
     """
     part = next(part for part in parts_of(file) if part.name() == name)
     prior, recordings = NOTHING, frozenset(run.name for run in runs)
@@ -217,7 +217,8 @@ def part_prior(file: MotorFile, name: str, runs: Sequence[Run] = ()) -> Prior:
             continue
         low, high = meaning.bounds
         if meaning.role == "width":
-            low = max(low, min([SHARPEST * meaning.typical(file.rated), *map(_speed_noise, runs)]))
+            shown = map(_speed_noise, runs) if meaning.unit == "rad/s" else ()
+            low = max(low, min([SHARPEST * meaning.typical(file.rated), *shown]))
         prior = prior.joined(Prior({key: known.value}, {key: known.sd}, {key: (low, high)}))
     return prior
 

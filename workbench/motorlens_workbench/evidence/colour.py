@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 
 # Smallest deviation of an innovation that is believed, in those that the noise states.
 SMALLEST = 1e-3
-# A variance this near to the smallest that is believed is that.
-ROUNDED = 1e-6
 
 
 def coloured(run: Run, white: Array, used: int) -> Whitener:
@@ -56,7 +54,9 @@ def gain_of(run: Run, white: Array, whitener: Whitener, noise: Noise, used: int)
         noise: of the recording.
         used: parameters already spent on the innovations.
     """
-    fine = noise.of_sensors(run) > (1 + ROUNDED) * np.maximum(noise.floor, run.steps**2 / 12)
+    found, least = noise.of_sensors(run), np.maximum(noise.floor, run.steps**2 / 12)
+    # A mean of equal numbers is rounded.
+    fine = (found > least) & ~np.isclose(found, least, atol=0.0)
     if not fine.any():
         return 0.0
     if not fine.all():

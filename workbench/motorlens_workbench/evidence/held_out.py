@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 
 FOLDS = 6
 # A direction of the parameters of which the other folds tell less than this share of what all do is told by one nearly
-# alone: of what all folds tell alike they tell five sixths.
+# alone. They tell nothing of what one block shows, half of what two blocks of different folds do, and five sixths of what
+# all show alike: any share between nothing and a half tells the first from the others.
 TOLD = 0.1
 
 
