@@ -71,6 +71,14 @@ class Linearisation:
         _respond(np.array(acting, dtype=np.int64), self.matrices, forcing, hold, response)
         return {name: response[:, j] for j, name in enumerate(self.states)}
 
+    def released(self, state: str, samples: Sequence[int]) -> dict[str, Array]:
+        """Free response of each state, (N, m), to a unit of one of them at each of m samples; before it there is none."""
+        response = np.zeros((len(self.matrices) + 1, len(self.states), len(samples)))
+        response[samples, self.states.index(state), np.arange(len(samples))] = 1.0
+        nothing = np.empty((len(response), 0, len(samples)))
+        _respond(np.empty(0, dtype=np.int64), self.matrices, nothing, np.empty(0, dtype=np.bool_), response)
+        return {name: response[:, j] for j, name in enumerate(self.states)}
+
 
 def linearise(
     motor: Motor,

@@ -199,6 +199,26 @@ def test_forcings_respond_as_small_changes_of_the_inputs(motor: Motor, held: boo
     )
 
 
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("held", [True, False], ids=["held", "linear"])
+def test_a_state_released_goes_on_as_a_run_that_starts_there(state: str, held: bool) -> None:
+    motor, inputs, first = Motor(effects=(QuadraticDrag(c=1e-5),)), drive(5, 800, low=60.0, held=held), 300
+    run, linear = linearise(motor, inputs, {"w": 50.0}, tolerance=1e-8)
+    mine = {name: y[:, 1] for name, y in linear.released(state, [500, first]).items()}
+    tail = replace(
+        inputs,
+        **{
+            name: getattr(inputs, name)[first:]
+            for name in ("time_s", "voltage_V", "load_torque_Nm", "ambient_C")
+        },
+    )
+    there = {name: float(values[first]) for name, values in run.states.items()}
+    _, truth = sensitivities(motor, tail, there, [f"initial.{state}"], tolerance=1e-8)
+    for name in STATES:
+        assert (mine[name][:first] == 0).all()
+    assert_close({name: mine[name][first:] for name in STATES}, truth[f"initial.{state}"], 3e-3, state)
+
+
 @pytest.mark.parametrize("sample_s", [1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 30.0])
 @pytest.mark.parametrize(
     ("inductance", "inertia", "off"),

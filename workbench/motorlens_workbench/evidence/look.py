@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from motorlens_physics.estimate.prior import Prior
 from motorlens_workbench.criteria import CRITERIA
-from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, ledger, ledgers
+from motorlens_workbench.evidence.ledger import Beside, Ledger, Lens, layout, ledger, ledgers
 from motorlens_workbench.evidence.score import Entry, Score
 from motorlens_workbench.hypotheses.bumps import in_bumps
 from motorlens_workbench.hypotheses.changes import changes
+from motorlens_workbench.hypotheses.free_response import free_responses
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
 
@@ -116,8 +117,10 @@ def looks(
         constants: parameters that cannot have changed at once unless something is missing, and the equation of each.
     """
     made = []
-    for lens, book in zip(lenses, ledgers(lines, lenses, prior, listed), strict=True):
-        book = replace(book, entries=(*in_bumps(book.entries), *changes(book, lines, constants)))
+    memory = [free_responses(lines, layout(lines))] if constants else []
+    for lens, book in zip(lenses, ledgers(lines, lenses, prior, [*listed, *memory]), strict=True):
+        tested = [entry for entry in book.entries if entry.hypothesis not in memory]
+        book = replace(book, entries=(*in_bumps(tested), *changes(book, lines, constants)))
         beside = book.beside()
         made.append(Look(tuple(lines), lens, book, beside, tuple(beside.scores(book.entries))))
     return made

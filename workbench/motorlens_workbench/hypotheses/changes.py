@@ -1,7 +1,10 @@
 """Whether a parameter changed at once, and when: magnets that weakened, a winding that shorted, a load that was coupled.
 
 What a parameter explains before and after a moment is in the ledger already, block of time by block: its column, cut at
-every boundary between two blocks, costs no simulation. The best of many moments: Andrews (1993), doi:10.2307/2951764.
+every boundary between two blocks, costs no simulation. But what a motor remembers does not change at once: a winding was
+not warmed by the resistance that it has only from then on. What is remembered of the parameter is taken from what is cut.
+
+The best of many moments: Andrews (1993), doi:10.2307/2951764.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,6 +19,7 @@ from motorlens_workbench.criteria import INTERVAL
 from motorlens_workbench.evidence.ledger import Ledger
 from motorlens_workbench.evidence.score import Entry
 from motorlens_workbench.hypotheses.courses import of_parameter
+from motorlens_workbench.hypotheses.free_response import FreeResponse
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
 
@@ -103,21 +107,26 @@ def changes(book: Ledger, lines: Sequence[Line], equations: Mapping[str, str]) -
     """Every fitted parameter, changed at every boundary between two blocks of a recording.
 
     Args:
-        book: the sums.
+        book: the sums, with those of `free_responses`.
         lines: the runs about the model.
         equations: the parameters that cannot have changed unless something is missing, and the equation of each.
     """
     of_run = np.array([r for r, _ in book.blocks])
     values = lines[0].model.values()
+    memory = {
+        (entry.shape.recording, entry.shape.sample): (entry.shape.states, entry)
+        for entry in book.entries
+        if isinstance(entry.shape, FreeResponse)
+    }
     entries = []
     for key in book.keys:
         if key not in equations:
             continue
-        c, made, tables = book.keys.index(key), [], []
+        c, made, sums = book.keys.index(key), [], []
         for line in lines:
             mine, time = np.flatnonzero(of_run == line.r), line.run.inputs.time_s
+            moved = _moved(line, key)
             for k in mine[SHORTEST : 1 - SHORTEST]:
-                after = ((of_run == line.r) & (np.arange(len(of_run)) >= k)).astype(np.float64)
                 first = book.blocks[k][1].start
                 made.append(
                     Change(
@@ -130,7 +139,14 @@ def changes(book: Ledger, lines: Sequence[Line], equations: Mapping[str, str]) -
                         time[[0, first - 1, first, -1]],
                     )
                 )
-                tables.append(after)
+                cross, inner = book.base[:, :, c], book.base[:, c, c]
+                if (line.run.name, first) in memory:
+                    states, entry = memory[line.run.name, first]
+                    past = book.unit[key] * np.array([moved[state][first, 0] for state in states])
+                    inner = inner - 2 * entry.cross[:, c] @ past + past @ entry.inner @ past
+                    cross = cross - entry.cross @ past
+                after = (of_run == line.r) & (np.arange(len(of_run)) >= k)
+                sums.append(((cross * after[:, None])[:, :, None], (inner * after)[:, None, None]))
         hypothesis = Hypothesis(
             f"{key} changes at once",
             "unnamed",
@@ -138,8 +154,11 @@ def changes(book: Ledger, lines: Sequence[Line], equations: Mapping[str, str]) -
             tuple(made),
             typical=abs(values[key]) / book.unit[key],
         )
-        for shape, after in zip(made, tables, strict=True):
-            cross = (book.base[:, :, c] * after[:, None])[:, :, None]
-            inner = (book.base[:, c, c] * after)[:, None, None]
-            entries.append(Entry(hypothesis, shape, cross, inner))
+        entries += [Entry(hypothesis, shape, *of) for shape, of in zip(made, sums, strict=True)]
     return entries
+
+
+def _moved(line: Line, key: str) -> Mapping[str, Array]:
+    """(N, 1) what a unit of a parameter moves in each state, if it is there all the time."""
+    unit = of_parameter(line.trajectory, key)
+    return line.linear.respond(unit.voltage[:, None], unit.torque[:, None], unit.heat[:, None])

@@ -1,6 +1,6 @@
 """A run linearised about a model, and how what the model lacks would show in its measured channels."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,7 +72,12 @@ class Line:
             np.asarray(part, dtype=np.float64).reshape(len(self.error), -1)
             for part in (forcing.voltage, forcing.torque, forcing.heat)
         )
-        states = self.linear.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat, held=held)
+        return self.of_states(
+            self.linear.respond(voltage_V=voltage, torque_Nm=torque, heat_W=heat, held=held)
+        )
+
+    def of_states(self, states: Mapping[str, Array]) -> Array:
+        """(N, C, k) what states that are moved, (N, k) each, change in the channels."""
         moved = changed_outputs(self.model, self.run, self.linear, states)
         return through_sensors(self.model, self.run, self.r, moved)
 
