@@ -38,8 +38,8 @@ SPACES = [(3, False, ()), (4, False, ()), (3, True, ()), (4, True, ()), (3, True
 def space(request: pytest.FixtureRequest) -> StateSpace:
     """Three disturbances: one held, one linear, one slow; a sample missing; an uncertain start. Or besides coloured noise.
 
-    Of the voltage, which runs linearly, and of the second channel, whose state is the last; and a command that changes
-    somewhere in two samples. Those that are silent, which stand before others, have no variance.
+    Of the voltage, which runs linearly, and of the second channel, whose state is the last; and inputs that change
+    somewhere in some samples. Those that are silent, which stand before others, have no variance.
     """
     states, lasting, silent = request.param
     rng = np.random.default_rng(0)
@@ -60,7 +60,7 @@ def space(request: pytest.FixtureRequest) -> StateSpace:
         found, shows=np.array([0, states - 1]), balances=np.array([0, 1, 1, 0, -1]), drifts=np.array([[-1, -1], [4, -1]]),
         holds=np.array([True, False, True, False, True]), variance=variance,
         keeps=np.column_stack([keeps, np.full(SAMPLES - 1, 0.6), np.linspace(0.5, 0.8, SAMPLES - 1)]),
-        jumps_V=np.where(np.isin(np.arange(SAMPLES - 1), (2, 7)), 1.7, 0.0),
+        jumps=np.where(np.isin(np.arange(SAMPLES - 1)[:, None], [(2, 7), (7, 4)]), [1.7, 0.9], 0.0),
     )  # fmt: skip
 
 
@@ -113,9 +113,9 @@ class Dense:
             self.use
         ]
         self.whole = sum(self.parts) + space.start[0] * np.outer(start, start) + np.diag(sensors[self.use])
-        for k in np.flatnonzero(space.jumps_V):
-            for column in (len(space.start), len(space.start) + 3):
-                seen = space.jumps_V[k] * lacked(space, k, column)[self.use]
+        for k, which in np.argwhere(space.jumps):
+            for column in (len(space.start) + which, len(space.start) + 3 + which):
+                seen = space.jumps[k, which] * lacked(space, k, column)[self.use]
                 self.whole += np.outer(seen, seen)
         self.inverse = np.linalg.inv(self.whole)
 

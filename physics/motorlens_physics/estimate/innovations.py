@@ -53,8 +53,8 @@ class StateSpace:
         variance: (D,) of a disturbance, stationary.
         noise: (N, C) variance of the sensors' white noise, their converters' included; infinite where nothing was measured.
         start: (n,) variance of the motor's states at the first sample beside what is fitted.
-        jumps_V: (N - 1,) standard deviation of what the voltage may have lacked at either end of a sample, because a command
-            changed somewhere in it; empty where none did.
+        jumps: (N - 1, 2) standard deviation of what the voltage (V) and the load (N m) may have lacked at either end of a
+            sample, because they changed somewhere in it; (0, 0) where none did.
     """
 
     matrices: Array
@@ -67,7 +67,7 @@ class StateSpace:
     variance: Array
     noise: Array
     start: Array
-    jumps_V: Array = field(default_factory=lambda: np.zeros(0))
+    jumps: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def spread(space: StateSpace) -> Array:
     power = np.zeros(len(space.shows))
     space, _ = _acting(space)
     kalman.spread(
-        *_sizes(space), space.matrices, space.jumps_V, space.shows, space.drifts, space.balances, space.holds,
+        *_sizes(space), space.matrices, space.jumps, space.shows, space.drifts, space.balances, space.holds,
         space.keeps, space.variance, _at_first(space), power,
     )  # fmt: skip
     return power
@@ -202,7 +202,7 @@ def _filtered(
     own, every = _sizes(space)
     white, scale, gain = np.empty(column.shape), np.empty(column.shape), np.zeros((*column.shape, len(every)))
     kalman.forward(
-        own, every, space.matrices, space.jumps_V, space.shows, space.drifts, space.balances, space.holds, space.keeps,
+        own, every, space.matrices, space.jumps, space.shows, space.drifts, space.balances, space.holds, space.keeps,
         space.variance, space.noise, _at_first(space), column, white, scale, gain, steps, deviance, unlikely,
     )  # fmt: skip
     return Filtered(white[:, :, None], scale, gain)

@@ -47,7 +47,6 @@ def _transition(own, every, matrices, balances, holds, keeps, k, F, late):  # ty
 def _ahead(own, every, matrices, jumps, keeps, variance, k, F, late, fresh, A, P):  # type: ignore[no-untyped-def]
     """The covariance P of states and disturbances, from sample k - 1 to k."""
     n, s = len(own), len(every)
-    jump = jumps[k - 1] ** 2 if len(jumps) else 0.0
     for d in range(s - n):
         fresh[d] = variance[d] * (1.0 - keeps[k - 1, d] * keeps[k - 1, d])
     for r in range(n):
@@ -59,9 +58,12 @@ def _ahead(own, every, matrices, jumps, keeps, variance, k, F, late, fresh, A, P
                 total += A[r, m] * F[c, m]
             for d in range(s - n):
                 total += late[d, r] * late[d, c] * fresh[d]
-            if jump > 0:
-                first = matrices[k - 1, r, n] * matrices[k - 1, c, n]
-                total += jump * (first + matrices[k - 1, r, n + 3] * matrices[k - 1, c, n + 3])
+            for j in range(jumps.shape[1]):
+                jump = jumps[k - 1, j]
+                if jump > 0:
+                    first = matrices[k - 1, r, n + j] * matrices[k - 1, c, n + j]
+                    last = matrices[k - 1, r, n + 3 + j] * matrices[k - 1, c, n + 3 + j]
+                    total += jump * jump * (first + last)
             P[r, c] = total
             P[c, r] = total
     for d in range(s - n):

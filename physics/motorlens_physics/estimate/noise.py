@@ -78,7 +78,7 @@ class Noise:
         lasts_s: how long each lasts; 0 is white.
         floor: (C,) smallest variance that is believed: what a converter's levels are uneven by, or the integration's error.
         least: the smallest that each disturbance can be: an input is as noisy as the errors that follow its roughness say.
-        between: whether a command may have changed at any moment between two samples, not at one of them.
+        between: whether the voltage and the load may have changed at any moment between two samples, not at one of them.
         edges_V: (K - 1,) sizes of the voltage that part the groups.
     """
 
@@ -88,7 +88,7 @@ class Noise:
     lasts_s: Array
     floor: Array
     least: Array
-    between: bool = False
+    between: tuple[bool, bool] = (False, False)
     edges_V: Array = field(default_factory=lambda: np.zeros(0))
 
     def group(self, run: Run) -> NDArray[np.int64]:
@@ -255,14 +255,14 @@ class Noise:
         if coloured_too:
             drifts[:, 0] = first + np.arange(len(run.channels))
         of_input = [INPUTS.index(name) if name in INPUTS else -1 for name in lasting]
-        hold, jumps = run.inputs.hold, self._jumps_V(run)
+        hold, jumps = run.inputs.hold, self._jumps(run)
         shows = dict(STATE_OF)
         if run.mean_speed:
             linear, shows["speed"] = with_mean(linear), MEAN
         if run.mean_speed and jumps.any():
             # When in a sample the speed began to change decides its mean, which the motor's states at the end do not tell.
             used = used.copy()
-            used[1:, run.channels.index("speed")] &= jumps == 0
+            used[1:, run.channels.index("speed")] &= ~jumps.any(axis=1)
         # A torque that nobody measured has no reason to hold: it runs from one sample to the next.
         return StateSpace(
             linear.matrices,
@@ -281,13 +281,24 @@ class Noise:
             jumps,
         )
 
-    def _jumps_V(self, run: Run) -> Array:
-        """(N - 1,) standard deviation of the voltage's error in each sample in which its command changed; empty if none."""
-        if not self.between:
-            return np.zeros(0)
-        changes = np.abs(np.diff(run.inputs.voltage_V))
-        noise_V = np.sqrt(2 * float(self.of_input(run, self.all_of(run)[None], VOLTAGE)[0]))
-        return np.asarray(np.sqrt(AT_ANY_MOMENT) * np.where(changes > OUTLIER * noise_V, changes, 0.0))
+    def at_any_moment(self, which: int) -> "Noise":
+        """With an input that may have changed at any moment between two samples."""
+        return replace(self, between=(which == VOLTAGE or self.between[0], which == LOAD or self.between[1]))
+
+    def _jumps(self, run: Run) -> Array:
+        """(N - 1, 2) standard deviation of the inputs' error in each sample in which they changed; empty if none did."""
+        if not any(self.between):
+            return np.zeros((0, 0))
+        jumps = np.zeros((len(run.measured) - 1, len(INPUTS)))
+        seen = self.all_of(run)[None]
+        for which, shown in enumerate((run.inputs.voltage_V, run.inputs.load_torque_Nm)):
+            if self.between[which]:
+                changes = np.abs(np.diff(shown))
+                noise_sd = np.sqrt(2 * float(self.of_input(run, seen, which)[0]))
+                jumps[:, which] = np.sqrt(AT_ANY_MOMENT) * np.where(
+                    changes > OUTLIER * noise_sd, changes, 0.0
+                )
+        return jumps
 
 
 def first_noise(run: Run, residual: Array, torque_Nm: float, tolerance: float) -> Noise:

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
 from motorlens_physics.estimate.innovations import StateSpace, disturbances, read, spread
-from motorlens_physics.estimate.noise import LASTS, TINY, TORQUE, VOLTAGE, Noise
+from motorlens_physics.estimate.noise import LASTS, LOAD, TINY, TORQUE, VOLTAGE, Noise
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.sensitivity import Linearisation
 
@@ -173,32 +173,35 @@ def _stretch(space: StateSpace, rows: slice, left: Array) -> StateSpace:
         start[space.shows] = left
     return replace(
         space, matrices=space.matrices[rows.start : rows.stop - 1], keeps=space.keeps[rows.start : rows.stop - 1],
-        noise=space.noise[rows], start=start, jumps_V=space.jumps_V[rows.start : rows.stop - 1],
+        noise=space.noise[rows], start=start, jumps=space.jumps[rows.start : rows.stop - 1],
     )  # fmt: skip
 
 
 def changed_between(
     noise: Noise, run: Run, linear: Linearisation, error: Array, used: NDArray[np.bool_]
 ) -> Noise:
-    """The noise with a command that changed at any moment between samples, if that is likelier; itself if it is not.
+    """The noise with inputs that changed at any moment between samples, each if that is likelier; itself if neither is.
 
     What is seen of a change then tells of the motor only what its moment does not. Asked of a voltage that looks free of
-    noise, as a command is: what was measured may change for a sample by what it shows alone.
+    noise, as a command is: what was measured may change for a sample by what it shows alone. Asked of every load: one that
+    brakes is nothing at rest, and all of itself as soon as the rotor turns.
 
     Args: as of `lasting`.
     """
-    if noise.most[VOLTAGE] > run.input_step[VOLTAGE] ** 2 / 12 + TINY:
-        return noise
-    other = replace(noise, between=True)
-    space = other.space(run, linear, used)
-    if not space.jumps_V.any():
-        return noise
-    # Where the moment is not known, some samples tell nothing: they count on neither side.
-    used = np.isfinite(space.noise)
-    (_, before), (found, after) = (
-        likelier(one, run, linear, error, used, CONVERGED) for one in (noise, other)
-    )
-    return found if before - after > chdtri(1, CHANCE) else noise
+    for which in (VOLTAGE, LOAD):
+        if which == VOLTAGE and noise.most[VOLTAGE] > run.input_step[VOLTAGE] ** 2 / 12 + TINY:
+            continue
+        other = noise.at_any_moment(which)
+        space = other.space(run, linear, used)
+        if not space.jumps[:, which].any():
+            continue
+        # Where the moment is not known, some samples tell nothing: they count on neither side.
+        counted = np.isfinite(space.noise)
+        (_, before), (found, after) = (
+            likelier(one, run, linear, error, counted, CONVERGED) for one in (noise, other)
+        )
+        noise = found if before - after > chdtri(1, CHANCE) else noise
+    return noise
 
 
 def lasting(

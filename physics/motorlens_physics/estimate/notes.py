@@ -38,11 +38,17 @@ def _taken(run: Run) -> list[str]:
             "each speed is taken as the mean since the sample before, as one that is counted from an encoder is; the "
             "recording is likelier so."
         )
-    if run.noise is not None and run.noise.between:
+    voltage, load = run.noise.between if run.noise is not None else (False, False)
+    if voltage:
         said.append(
             "the voltage changes between samples, not at them, as the command of another program does. When within a sample "
             "is not known: what follows a change tells of the motor only as far as that does not matter. The recording is "
             "likelier so."
+        )
+    if load:
+        said.append(
+            "the load torque changes between samples, not at them, as that of a brake does once the rotor turns. What follows "
+            "a change tells of the motor only as far as its moment does not matter. The recording is likelier so."
         )
     if run.hum:
         told = " and ".join(

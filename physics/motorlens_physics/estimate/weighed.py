@@ -126,7 +126,7 @@ class Errors:
         return replace(self, noise=noise)
 
     def with_moments(self) -> "Errors":
-        """With a command that changed at any moment between samples, if that is likelier; itself if it is not."""
+        """With inputs that changed at any moment between samples, if that is likelier; itself if it is not."""
         noise = changed_between(self.noise, self.run, self.linear, self.error, self.used)
         return self if noise is self.noise else replace(self, noise=noise)
 
@@ -402,7 +402,7 @@ def _as_noisy_as(part: Errors, parts: Sequence[Errors]) -> Errors:
 
 
 def with_moments(point: Weighed) -> Weighed:
-    """A point near the best parameters whose commands changed between samples where that is likelier; itself if none did."""
+    """A point near the best parameters whose inputs changed between samples where that is likelier; itself if none did."""
     return _with_parts(point, tuple(on_all_cores(Errors.with_moments, point.parts)))
 
 

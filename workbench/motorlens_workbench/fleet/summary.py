@@ -176,8 +176,10 @@ def where_it_ended(
     sensors = np.array(told["sensors"] if "sensors" in told else [[one] for one in told["channels"]])
     # Its limits are those of the recording, see `Noise.like`.
     nothing, between = np.zeros_like(disturbances), told.get("between", False)
+    # Files of before a load could change between samples say so of the voltage alone.
+    voltage, load = between if isinstance(between, list) else (between, False)
     edges_V, floor = np.array(told.get("edges_V", [])), sensors.min(axis=1)
-    noise = Noise(sensors, disturbances, disturbances, lasts_s, floor, nothing, between, edges_V)
+    noise = Noise(sensors, disturbances, disturbances, lasts_s, floor, nothing, (voltage, load), edges_V)
     # What had gone where nothing is any more begins at the nearest.
     values = {
         key: float(np.clip(value, *prior.bounds[key]))
