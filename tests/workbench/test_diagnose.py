@@ -231,6 +231,23 @@ def test_the_only_start_from_rest_is_no_error_of_a_model(rough):
 
 @pytest.mark.long
 @pytest.mark.fit
+def test_a_brake_that_acts_once_the_rotor_turns_is_no_torque_that_is_missing(rough):
+    """At rest it shows none, and within the next sample all of it: a torque against current of 11 N m was said to lack."""
+    file = read_motor_file(MOTOR)
+    fan = catalogue()["fan_cooling_exponent"].typical(file.rated)
+    fan = replace(fan, n=1.6)
+    hidden = replace(file, motor=file.motor.with_effect(fan))
+    truth = perform(hidden, scenarios()["heat_soak"](), np.random.default_rng(6))
+    noise = {"voltage": 1.2, "current": 0.036, "speed": 1.1, "temperature": 0.4, "load_torque": 0.032}
+    found, _ = diagnosed(rough, measure(truth, (), noise, np.random.default_rng(6)))
+    (one,) = found.outcome.accepted
+    assert one.hypothesis.name == "fan_cooling_exponent" and settle(found).kind == "named"
+    size, sd = measured(found, one)
+    assert abs(size - 1.6) < 3 * sd < 0.5
+
+
+@pytest.mark.long
+@pytest.mark.fit
 def test_a_size_is_right_in_a_motor_that_was_calibrated_on_the_same_recording_without_it(rough):
     """Held to what was fitted without the drag, it came out at half its size, 5.6 stated deviations off."""
     drag = catalogue()["quadratic_drag"].typical(rough.rated).c

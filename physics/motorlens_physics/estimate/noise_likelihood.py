@@ -188,20 +188,34 @@ def changed_between(
 
     Args: as of `lasting`.
     """
-    for which in (VOLTAGE, LOAD):
-        if which == VOLTAGE and noise.most[VOLTAGE] > run.input_step[VOLTAGE] ** 2 / 12 + TINY:
-            continue
-        other = noise.at_any_moment(which)
-        space = other.space(run, linear, used)
-        if not space.jumps[:, which].any():
-            continue
+    command = noise.most[VOLTAGE] <= run.input_step[VOLTAGE] ** 2 / 12 + TINY
+    asked = [VOLTAGE, LOAD] if command else [LOAD]
+    # Of two that change in the same samples the likelier comes first: beside it the other may be no more than chance.
+    while asked:
+        ways = {which: noise.at_any_moment(which) for which in asked}
+        spaces = {which: way.space(run, linear, used) for which, way in ways.items()}
         # Where the moment is not known, some samples tell nothing: they count on neither side.
-        counted = np.isfinite(space.noise)
-        (_, before), (found, after) = (
-            likelier(one, run, linear, error, counted, CONVERGED) for one in (noise, other)
-        )
-        noise = found if before - after > chdtri(1, CHANCE) else noise
+        won = {
+            which: _won(noise, ways[which], run, linear, error, np.isfinite(space.noise))
+            for which, space in spaces.items()
+            if space.jumps[:, which].any()
+        }
+        best = max(won, key=lambda which: won[which][0], default=None)
+        if best is None or won[best][0] <= chdtri(1, CHANCE):
+            break
+        noise = won[best][1]
+        asked.remove(best)
     return noise
+
+
+def _won(
+    before: Noise, after: Noise, run: Run, linear: Linearisation, error: Array, counted: NDArray[np.bool_]
+) -> tuple[float, Noise]:
+    """Twice the gain in logarithmic likelihood from one noise to another, in the samples (N, C) that count, and that one."""
+    (_, here), (found, there) = (
+        likelier(one, run, linear, error, counted, CONVERGED) for one in (before, after)
+    )
+    return here - there, found
 
 
 def lasting(

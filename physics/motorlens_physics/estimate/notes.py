@@ -47,8 +47,8 @@ def _taken(run: Run) -> list[str]:
         )
     if load:
         said.append(
-            "the load torque changes between samples, not at them, as that of a brake does once the rotor turns. What follows "
-            "a change tells of the motor only as far as its moment does not matter. The recording is likelier so."
+            "the load torque changes between samples, not at them, as that of a brake does once the rotor turns. What "
+            "follows a change tells of the motor only as far as its moment does not matter. The recording is likelier so."
         )
     if run.hum:
         told = " and ".join(
