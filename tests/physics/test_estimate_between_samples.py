@@ -11,9 +11,9 @@ from motorlens_physics.estimate import between_samples, timing
 from motorlens_physics.estimate.between_samples import as_they_ran, otherwise
 from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import NEAR, fit, start_model
+from motorlens_physics.estimate.points import weighed
 from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.timing import ROUGHLY, Timing, same
-from motorlens_physics.estimate.weighed import weighed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated

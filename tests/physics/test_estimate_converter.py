@@ -12,9 +12,9 @@ from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.noise_likelihood import likelier
 from motorlens_physics.estimate.notes import notes_of
+from motorlens_physics.estimate.points import first_point
 from motorlens_physics.estimate.prepare import prepare_all, prepare_to_fit
 from motorlens_physics.estimate.signals import noise_sd, smoothed
-from motorlens_physics.estimate.weighed import first_point
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile
 from motorlens_physics.parameter import Rated

@@ -17,10 +17,11 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.model import predict, response_to_inputs, sensitivities_of, through_sensors
 from motorlens_physics.estimate.noise import Noise
+from motorlens_physics.estimate.points import begun, needed
 from motorlens_physics.estimate.prepare import prepare, prepare_all
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.timing import Timing
-from motorlens_physics.estimate.weighed import Errors, Frame, Weighed, begun, needed
+from motorlens_physics.estimate.weighed import Errors, Frame, Weighed
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import Knowledge, MotorFile, read_motor_file
 from motorlens_physics.parameter import Rated

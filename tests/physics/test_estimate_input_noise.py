@@ -13,8 +13,8 @@ from motorlens_physics.estimate.estimate import Estimate, estimate
 from motorlens_physics.estimate.fit import start_model
 from motorlens_physics.estimate.input_noise import least_noise
 from motorlens_physics.estimate.noise import VOLTAGE, Noise
+from motorlens_physics.estimate.points import first_point
 from motorlens_physics.estimate.prepare import prepare_all
-from motorlens_physics.estimate.weighed import first_point
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile, read_motor_file
 from motorlens_physics.parameter import Rated

@@ -11,10 +11,10 @@ from motorlens_physics.estimate import estimate as estimation
 from motorlens_physics.estimate.estimate import Estimate, estimate, near, one_step_ahead
 from motorlens_physics.estimate.fit import minimise, start_model
 from motorlens_physics.estimate.pieces import as_found
+from motorlens_physics.estimate.points import at, first_point, shown_at
 from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import at, first_point, shown_at
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.parameter import Rated

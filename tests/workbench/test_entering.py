@@ -13,8 +13,8 @@ from scipy.stats import t as students_t
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.model import Model
+from motorlens_physics.estimate.points import weighed
 from motorlens_physics.estimate.prepare import prepare_all
-from motorlens_physics.estimate.weighed import weighed
 from motorlens_physics.motor_file import read_motor_file
 from motorlens_physics.recording import read_recording
 from motorlens_workbench.contest import entering

@@ -102,7 +102,7 @@ def test_what_is_far_from_the_motor_file_is_said(rough, recording):
 
 @pytest.mark.fit
 def test_several_at_once_are_what_they_are_one_after_the_other(rough, recording, one_by_one):
-    """As far as fits go to the end (`weighed.CLOSE`)."""
+    """As far as fits go to the end (`points.CLOSE`)."""
     both, last = add(rough, [key.partition(".")[0] for key in SIZES], [recording]), one_by_one[-1]
     assert both.supported and both.new == 2
     assert [rung.added for rung in both.rungs] == ["", "coulomb_friction", "constant_torque"]

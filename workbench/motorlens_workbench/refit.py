@@ -10,10 +10,11 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import by_least_squares, near, one_step_ahead, whole
 from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
+from motorlens_physics.estimate.points import begun as first_noise_of
+from motorlens_physics.estimate.points import minimised, needed, shown_at, weighed
 from motorlens_physics.estimate.prior import Prior, at_prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Weighed, minimised, needed, shown_at, weighed
-from motorlens_physics.estimate.weighed import begun as first_noise_of
+from motorlens_physics.estimate.weighed import Weighed
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.ledger import Beside
 from motorlens_workbench.evidence.score import Score

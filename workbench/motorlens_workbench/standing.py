@@ -12,9 +12,9 @@ from motorlens_physics.estimate.innovations import read
 from motorlens_physics.estimate.model import error_of, predict
 from motorlens_physics.estimate.noise import UNEXPLAINED, Noise
 from motorlens_physics.estimate.noise_likelihood import likelier
+from motorlens_physics.estimate.points import moved_on
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import moved_on
 from motorlens_physics.threads import on_all_cores
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.evidence.held_out import pooled_floor, times_noise

@@ -19,9 +19,10 @@ from motorlens_physics.estimate.fit import inverse
 from motorlens_physics.estimate.innovations import in_blocks
 from motorlens_physics.estimate.model import Model, response_to_inputs, sensitivities_of
 from motorlens_physics.estimate.noise import Noise
+from motorlens_physics.estimate.points import moved_on, needed
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Errors, Weighed, moved_on, needed, noise_left, without_noise
+from motorlens_physics.estimate.weighed import Errors, Weighed, noise_left, without_noise
 from motorlens_runtime.errors import ModelError
 
 Array = NDArray[np.float64]

@@ -14,9 +14,10 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse
 from motorlens_physics.estimate.innovations import in_blocks
+from motorlens_physics.estimate.points import at, needed
 from motorlens_physics.estimate.prior import SKEW, Prior, around
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Errors, Weighed, at, needed
+from motorlens_physics.estimate.weighed import Errors, Weighed
 
 Array = NDArray[np.float64]
 

@@ -21,16 +21,7 @@ from motorlens_physics.estimate.hum import hum_of_channels
 from motorlens_physics.estimate.model import Model, predict
 from motorlens_physics.estimate.noise_likelihood import PIECE
 from motorlens_physics.estimate.pieces import as_found, cut, pieces_of, prior_of, starting_as
-from motorlens_physics.estimate.prior import Prior, at_prior, base_prior
-from motorlens_physics.estimate.report import Findings, findings
-from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.shaft import followed
-from motorlens_physics.estimate.spikes import spikes_of_channels, spikes_of_inputs
-from motorlens_physics.estimate.timing import Timing, moved
-from motorlens_physics.estimate.weighed import (
-    Array,
-    Errors,
-    Weighed,
+from motorlens_physics.estimate.points import (
     at,
     from_noise,
     gained,
@@ -43,6 +34,13 @@ from motorlens_physics.estimate.weighed import (
     with_rough_inputs,
     with_uneven_noise,
 )
+from motorlens_physics.estimate.prior import Prior, at_prior, base_prior
+from motorlens_physics.estimate.report import Findings, findings
+from motorlens_physics.estimate.run import Run
+from motorlens_physics.estimate.shaft import followed
+from motorlens_physics.estimate.spikes import spikes_of_channels, spikes_of_inputs
+from motorlens_physics.estimate.timing import Timing, moved
+from motorlens_physics.estimate.weighed import Array, Errors, Weighed
 from motorlens_physics.motor_file import MotorFile
 
 # Delays are looked for in this many times as many samples as everything else, for they may be a tenth of what is looked at;

@@ -16,18 +16,11 @@ from motorlens_physics.estimate.fit import NEAR, Fit, fit, inverse, white
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.noise import Noise
 from motorlens_physics.estimate.pieces import as_found, cut, starting_as
+from motorlens_physics.estimate.points import at, begun, from_noise, gained, minimised, needed
 from motorlens_physics.estimate.prior import Prior
 from motorlens_physics.estimate.report import FAR
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import (
-    Weighed,
-    at,
-    begun,
-    from_noise,
-    gained,
-    minimised,
-    needed,
-)
+from motorlens_physics.estimate.weighed import Weighed
 from motorlens_runtime.errors import ModelError
 
 # How often channels that are late are looked for again.

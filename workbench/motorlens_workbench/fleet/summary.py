@@ -23,9 +23,10 @@ from motorlens_physics.estimate.fit import inverse, start_model
 from motorlens_physics.estimate.innovations import innovations
 from motorlens_physics.estimate.model import Model
 from motorlens_physics.estimate.noise import OUTLIER, Noise
+from motorlens_physics.estimate.points import weighed
 from motorlens_physics.estimate.prior import NOTHING, Prior, part_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import Weighed, weighed
+from motorlens_physics.estimate.weighed import Weighed
 from motorlens_physics.motor_file import MotorFile
 from motorlens_physics.sensor_model import sensor_models
 

@@ -18,9 +18,9 @@ from motorlens_physics.estimate.estimate import COARSE, estimate
 from motorlens_physics.estimate.fit import NEAR, fit, start_model
 from motorlens_physics.estimate.free_run import stirred_by_inputs
 from motorlens_physics.estimate.model import sensitivities_of
+from motorlens_physics.estimate.points import CLOSE
 from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import Run
-from motorlens_physics.estimate.weighed import CLOSE
 from motorlens_physics.motor_file import MotorFile
 from motorlens_runtime.errors import ModelError
 
