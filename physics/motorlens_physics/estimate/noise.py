@@ -104,15 +104,17 @@ class Noise:
         return np.asarray(self.of_samples(run).mean(axis=0))
 
     def uneven(self, run: Run) -> "Noise":
-        """With variances of their own in groups of samples, see `GROUPS` and `TELL`."""
+        """With variances of their own in the groups of samples that a run has, see `GROUPS` and `TELL`."""
         sizes = np.sort(np.abs(run.inputs.voltage_V))
         edges_V: list[float] = []
         for edge_V in (sizes[-1] * np.arange(1, GROUPS) / GROUPS).tolist():
             below, above = (np.searchsorted(sizes, size_V) for size_V in ([0.0, *edges_V][-1], edge_V))
             if min(above - below, len(sizes) - above) >= TELL:
                 edges_V.append(edge_V)
-        sensors = np.tile(self.of_sensors(run)[:, None], len(edges_V) + 1)
-        return replace(self, sensors=sensors, edges_V=np.array(edges_V))
+        made = replace(self, edges_V=np.array(edges_V))
+        groups, known = made.group(run), self.of_samples(run)
+        sensors = np.array([known[groups == group].mean(axis=0) for group in range(len(edges_V) + 1)]).T
+        return replace(made, sensors=sensors)
 
     def within(self, sensors: Array, disturbances: Array) -> "Noise":
         """With other variances (C, K) and (3,), as far as they are believed."""
@@ -129,8 +131,8 @@ class Noise:
         least[:TORQUE] = variances
         return replace(self, least=least).within(self.sensors, self.disturbances)
 
-    def like(self, other: "Noise") -> "Noise":
-        """As another found it in a piece of the same recording."""
+    def like(self, other: "Noise", run: Run) -> "Noise":
+        """As another found it in a piece of the same recording; where it is uneven, in the groups that all of it has."""
         alike = replace(
             self,
             disturbances=np.append(self.disturbances, other.disturbances[COLOURED]),
@@ -140,7 +142,8 @@ class Noise:
             between=other.between,
             edges_V=other.edges_V,
         )
-        return alike.within(other.sensors, other.disturbances)
+        alike = alike.within(other.sensors, other.disturbances)
+        return alike.uneven(run) if other.edges_V.size else alike
 
     def lasting(self, lasts_s: float) -> "Noise":
         """With an unmeasured torque that lasts so long."""

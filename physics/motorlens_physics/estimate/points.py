@@ -237,7 +237,8 @@ def simulated_as(point: Weighed, tolerance: float, prior: Prior) -> Weighed:
     """The same point, simulated this exactly, with noise that is believed as far as that."""
     model = replace(point.model, tolerance=tolerance)
     parts = tuple(
-        replace(part, noise=_nothing_known(model, part.run).like(part.noise)) for part in point.parts
+        replace(part, noise=_nothing_known(model, part.run).like(part.noise, part.run))
+        for part in point.parts
     )
     return at(model, replace(point, parts=parts), prior)
 
@@ -249,7 +250,7 @@ def begun(model: Model, runs: Sequence[Run], prior: Prior) -> Weighed:
 
 def from_noise(model: Model, runs: Sequence[Run], noises: Sequence[Noise], prior: Prior) -> Weighed:
     """A point with noise that was found before, along inputs corrected by it."""
-    noises = [_nothing_known(model, run).like(found) for run, found in zip(runs, noises, strict=True)]
+    noises = [_nothing_known(model, run).like(found, run) for run, found in zip(runs, noises, strict=True)]
     # At first by what shows in the inputs alone.
     runs = [without_noise(run, noise) for run, noise in zip(runs, noises, strict=True)]
     point = weighed(model, runs, noises, [run.there for run in runs], ())
