@@ -284,6 +284,10 @@ def performed(truth: dict[str, Any], proposed: dict[str, Any], place: Path) -> P
     off = {HEADINGS[channel] for channel in CHANNEL_SETS["all"] if channel not in kept}
     off |= {"ambient_C"} if "temperature" not in kept else set()
     off |= {"angle_rad"} if "speed" not in kept else set()
+    if proposed.get("bare"):
+        load = lines[0].index(HEADINGS["load_torque"])
+        lines[1:] = [[*line[:load], "0", *line[load + 1 :]] for line in lines[1:]]
+        off.remove(HEADINGS["load_torque"])
     at = [k for k, name in enumerate(lines[0]) if name not in off]
     path.write_text("".join(",".join(line[k] for k in at) + "\n" for line in lines), encoding="utf-8")
     return path

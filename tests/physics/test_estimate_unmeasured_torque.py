@@ -1,5 +1,7 @@
 """A torque that nobody measured, as short as a sample: it must not pass for the voltage's noise, nor that for inertia."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import plain_motor
@@ -8,6 +10,7 @@ from scipy.signal import lfilter
 
 from motorlens_physics.estimate.estimate import estimate
 from motorlens_physics.estimate.noise import TORQUE
+from motorlens_physics.estimate.notes import notes_of
 from motorlens_physics.estimate.prepare import prepare_all
 from motorlens_physics.motor import Motor
 from motorlens_physics.motor_file import MotorFile
@@ -64,3 +67,17 @@ def test_a_motor_that_follows_within_a_sample_is_told_beside_a_torque_that_nobod
     assert np.sqrt(run.noise.of_sensors(run)[0]) == pytest.approx(CURRENT_SD, rel=0.05)
     values, sd = found.fit.model.values(), found.fit.sd()
     assert max(abs(values[key] - MOTOR[key]) / sd[key] for key in ("R_a0", "L", "ke", "J", "b")) < 3
+
+
+@pytest.mark.fit
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_load_of_exactly_nothing_says_that_the_shaft_is_bare(stated: bool) -> None:
+    """Then there is no torque sensor that could be wrong, and no torque but the motor's own: none is made up for errors."""
+    file, load = MotorFile("plate", Motor(), PLATE), np.zeros(SAMPLES)
+    load[-1] = 0.0 if stated else 1e-6
+    recording = recorded(loaded=False)
+    recording = replace(recording, channels={**recording.channels, "load_torque": load})
+    (run,) = estimate(file, prepare_all([recording], file)).runs
+    assert run.bare == stated and run.load_known and ("load_torque" in run.known) != stated
+    assert run.noise is not None and (run.noise.disturbances[TORQUE] == 0.0) == stated
+    assert any("nothing is on the shaft" in note for note in notes_of([run])) == stated

@@ -57,9 +57,10 @@ def proposed(found: Finding) -> tuple[Verdict, Experiment | None]:
 
 @pytest.mark.long
 @pytest.mark.fit
+@pytest.mark.parametrize("said", [False, True])
 @pytest.mark.parametrize("guilty", sorted(TWINS))
-def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_off(rough, guilty):
-    """At every load the two are one; on a bare shaft the torque stays and the sensor is gone."""
+def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_off(rough, guilty, said):
+    """At every load the two are one; on a bare shaft, said by zeros or not, the torque stays and the sensor is gone."""
     hidden = {"torque": 0.3} if guilty == "constant_torque" else {"faults": {"offset": 0.3}}
     first = recorded("load_steps", 30.0, **hidden)
     verdict, experiment = proposed(diagnose(rough, [first]))
@@ -68,8 +69,11 @@ def test_an_offset_of_the_torque_sensor_is_told_from_a_torque_with_the_sensor_of
     assert "torque sensor taken off" in experiment.why
     second = recorded(experiment.test, experiment.seconds, **hidden)
     bare = {q: y for q, y in second.channels.items() if q != "load_torque"}
-    after = settle(diagnose(rough, [first, replace(second, channels=bare)]))
-    assert after.groups == ((guilty,),)
+    if said:
+        bare["load_torque"] = np.zeros(len(second.time_s))
+    found = diagnose(rough, [first, replace(second, channels=bare)])
+    assert [run.bare for run in found.runs] == [False, said]
+    assert settle(found).groups == ((guilty,),)
 
 
 @pytest.mark.long

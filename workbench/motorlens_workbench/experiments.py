@@ -63,7 +63,7 @@ class Experiment:
         seconds: how long to record.
         why: a sentence.
         with_sensor: the quantity to measure beside those recorded so far, "" if they are enough.
-        bare: run it with nothing on the shaft, the torque sensor taken off.
+        bare: run it with nothing on the shaft, the torque sensor taken off and 0 in its column, see `Run.bare`.
         check: quantities whose sensors only a reference instrument can judge, where no test tells.
     """
 
@@ -196,7 +196,9 @@ def propose(found: Finding, verdict: Verdict, rng: np.random.Generator) -> Exper
         return Experiment("", group, (group,), 0.0, why, check=check)
     also, bare = best.way
     how = f" with the {_said(also)} measured as well" if also else ""
-    how += " with nothing on the shaft, the torque sensor taken off" if bare else ""
+    how += (
+        " with nothing on the shaft, the torque sensor taken off, and write 0 in its column" if bare else ""
+    )
     why = f"run {best.test} for {best.seconds:.0f} s{how}"
     together = [part for part in best.parts if len(part) > 1]
     for part in together:
@@ -307,6 +309,9 @@ def _of_scenario(
         raise ValueError(f"{name} needs a torque sensor")
     recording = replace(recording, channels={q: y for q, y in recording.channels.items() if q in shown})
     run = prepare(recording, file)
+    if "load_torque" in shown:
+        # Planned, its sensor shows exactly 0 where it will not.
+        run = replace(run, bare=False, known=tuple(sorted({"load_torque", *run.known})))
     model = start_model(file, [run])
     own = {key: width for key, width in base_prior(file, [run]).sd.items() if "@" in key}
     keys = [*own, *asked.keys]

@@ -369,6 +369,6 @@ def noise_of(line: Line) -> Noise:
 def _constants(lines: Sequence[Line]) -> dict[str, str]:
     """Parameters that cannot have changed at once unless something is missing, and the equation of each."""
     channels = sorted({channel for line in lines for channel in line.run.channels})
-    loaded = any("load_torque" in line.run.known for line in lines)
+    loaded = any(line.run.load_known for line in lines)
     every = parameters_of(lines[0].model.file, channels)
     return {key: equation for key, (equation, _) in every.items() if loaded or equation != "mechanical"}

@@ -335,7 +335,7 @@ def limits(found: Finding, held: Sequence[Accepted], offered: Collection[str]) -
         said.append("Current was not measured: a voltage drop and a friction torque can look alike.")
     if "speed" not in channels:
         said.append("Speed was not measured: mechanical effects are seen only through the current.")
-    if "load_torque" not in known:
+    if not any(run.load_known for run in found.runs):
         said.append(
             "The load torque was not measured: the shaft is taken as free, and a load passes for a constant torque "
             "or, if it brakes, for friction."

@@ -326,7 +326,7 @@ def first_noise(run: Run, residual: Array, torque_Nm: float, tolerance: float) -
     # A load that was not measured has no noise of its own, but the slow torque.
     for variances in (looks, most):
         variances[LOAD] *= "load_torque" in run.known
-    torque = torque_Nm**2
+    torque = 0.0 if run.bare else torque_Nm**2
     return Noise(
         np.maximum(size - run.steps**2 / 12, floor)[:, None],
         np.array([*looks, SMALL_TORQUE**2 * torque]),

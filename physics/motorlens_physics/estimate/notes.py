@@ -33,6 +33,11 @@ def _left_out(run: Run) -> list[str]:
 
 def _taken(run: Run) -> list[str]:
     said = []
+    if run.bare:
+        said.append(
+            "a load torque of exactly 0 throughout says that nothing is on the shaft: what torque is missing is the motor's "
+            "own."
+        )
     if run.mean_speed and not run.from_angle:
         said.append(
             "each speed is taken as the mean since the sample before, as one that is counted from an encoder is; the "

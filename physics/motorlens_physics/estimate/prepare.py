@@ -98,7 +98,10 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
             least_bits[k] = np.sqrt(2) * counted_step(recording.channels["angle"]) / period_s
         floor[k] = max(least_bits[k] / np.sqrt(12), 1e-4 * spread, 1e-9) / np.sqrt(every)
     start = first_states(file, used, measured, ambient, recording.channels["voltage"])
-    known = tuple(q for q in ("load_torque", "ambient") if recording.has(q))
+    bare = recording.has("load_torque") and not recording.channels["load_torque"].any()
+    known = tuple(
+        q for q in ("load_torque", "ambient") if recording.has(q) and not (bare and q == "load_torque")
+    )
     angle = recording.channels.get("angle")
     if angle is not None and not np.isfinite(angle).all():
         angle = None
@@ -113,8 +116,7 @@ def prepare(recording: Recording, file: MotorFile, channels: Sequence[str] = tup
     }
     return Run(
         recording.name, inputs, used, measured, np.all(present, axis=1), present, least_bits, every, start, known, floor,
-        angle, input_step=coarse_inputs,
-        offset_below=exact, converter_errors=errors,
+        bare, angle, input_step=coarse_inputs, offset_below=exact, converter_errors=errors,
         shaft=angle, hung=hung, saturated=ends, repeats=repeats,
         mean_speed=counted, from_angle=counted,
     )  # fmt: skip

@@ -47,6 +47,8 @@ class Run:
         every: rows averaged into one.
         start: first guess of the initial states.
         known: which inputs were recorded beside the voltage.
+        bare: whether a load of exactly 0 throughout says that nothing is on the shaft: then no sensor is, and no torque but
+            the motor's own.
         floor: (C,) smallest believable noise of an averaged row: quantisation, or a ten-thousandth of the range.
         angle: (N,) shaft angle, if recorded.
         shaft: (N,) the angle that effects go with, as recorded or as `shaft.followed` has it, rad; None: not known.
@@ -82,6 +84,7 @@ class Run:
     start: dict[str, float]
     known: tuple[str, ...]
     floor: Array
+    bare: bool = False
     angle: Array | None = None
     input_step: tuple[float, float] = (0.0, 0.0)
     corrections: Array | None = None
@@ -140,6 +143,11 @@ class Run:
         An encoder of a motor that stands counts nothing, however noisy it is when the motor turns.
         """
         return resting([*self.measured.T, self.inputs.voltage_V, self.inputs.load_torque_Nm])
+
+    @property
+    def load_known(self) -> bool:
+        """Whether it is known what torque acts on the shaft."""
+        return self.bare or "load_torque" in self.known
 
     def holding(self, held: tuple[bool, bool, bool]) -> "Run":
         """With voltage, load torque and ambient holding between samples, or running linearly, each."""

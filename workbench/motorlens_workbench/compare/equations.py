@@ -141,7 +141,7 @@ def _throughout(tied: NDArray[np.int64] | None, to: int) -> bool:
 
 def remark(name: str, overlays: Sequence[Overlay]) -> str:
     """What a tested equation takes for granted, in words; empty if nothing."""
-    if name == "mechanical" and any("load_torque" not in o.run.known for o in overlays):
+    if name == "mechanical" and not all(o.run.load_known for o in overlays):
         return "the load torque was not measured and is taken as none"
     if name == "thermal" and any("ambient" not in o.run.known for o in overlays):
         return "the ambient was not measured and is taken from the rating plate"

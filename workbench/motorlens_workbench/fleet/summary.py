@@ -151,7 +151,8 @@ def ended(found: Estimate) -> dict[str, Any]:
         "mean_speed": run.mean_speed,
         "noise": {
             "sensors": run.noise.sensors.tolist(), "disturbances": run.noise.disturbances.tolist(),
-            "lasts_s": run.noise.lasts_s.tolist(), "between": run.noise.between, "edges_V": run.noise.edges_V.tolist(),
+            "lasts_s": run.noise.lasts_s.tolist(), "between": list(run.noise.between),
+            "edges_V": run.noise.edges_V.tolist(),
         },
     }  # fmt: skip
 

@@ -24,7 +24,7 @@ def everything(lines: Sequence[Line], own: Sequence[type[Effect]] = ()) -> list[
     file, runs = lines[0].model.file, [line.run for line in lines]
     trajectories = [line.trajectory for line in lines]
     channels = sorted({channel for run in runs for channel in run.channels})
-    loaded = any("load_torque" in run.known for run in runs)
+    loaded = any(run.load_known for run in runs)
     return [
         *effects(file, own),
         *sensors(file, runs),
