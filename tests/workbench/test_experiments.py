@@ -165,3 +165,22 @@ def test_a_run_both_ways_tells_a_drop_from_offsets_that_no_run_tells_from_each_o
     assert set(experiment.parts[-1]) == offsets and set(experiment.check) == {"speed", "voltage"}
     assert "it leaves" in experiment.why and "no run" not in experiment.why
     assert experiment.sentence.startswith("To tell ") and " or speed sensor offset" in experiment.sentence
+
+
+@pytest.mark.long
+@pytest.mark.fit
+def test_no_run_without_a_thermometer_tells_what_a_drop_heats(rough) -> None:
+    """A dead time is a drop at brushes that heats nothing: transients between samples of a slow run had told them apart."""
+    file = read_motor_file(MOTOR)
+    drop = replace(catalogue()["brush_voltage_drop"].typical(file.rated), V_b=4.0)
+    rng = np.random.default_rng(9)
+    truth = perform(
+        replace(file, motor=file.motor.with_effect(drop)),
+        scenarios()["load_steps"](20.0, 20.0 / SAMPLES),
+        rng,
+    )
+    seen = measure(truth, (), NOISE, rng)
+    kept = {q: y for q, y in seen.channels.items() if q not in ("temperature", "resistance")}
+    verdict, experiment = proposed(diagnose(rough, [replace(seen, channels=kept)]))
+    assert set(verdict.groups[0]) == {"brush_voltage_drop", "dead_time"}
+    assert experiment is not None and (experiment.test == "" or experiment.with_sensor == "temperature")

@@ -30,6 +30,7 @@ from motorlens_workbench.diagnose import Finding
 from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.score import inverse
 from motorlens_workbench.fitted import Accepted
+from motorlens_workbench.hypotheses.courses import of_parameter
 from motorlens_workbench.hypotheses.effects import effects
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
@@ -317,7 +318,10 @@ def _of_scenario(
     keys = [*own, *asked.keys]
     units = np.array([{**fitted.prior.sd, **own}[key] for key in keys])
     line = Line.of(model, run, 0, keys)
-    columns = [line.own * units, *(shape.columns(line) for rival in asked.rivals for shape in rival.shapes)]
+    columns = [
+        _as_rivals_are(asked, line) * units,
+        *(shape.columns(line) for rival in asked.rivals for shape in rival.shapes),
+    ]
     # Noise per row as the recordings had it, at their rate or at what the test asks for.
     z = np.concatenate(columns, axis=2) / np.array([floor[channel] for channel in run.channels])[:, None]
     flat = z.reshape(-1, z.shape[2])
@@ -325,6 +329,18 @@ def _of_scenario(
     n = len(own)
     gram[np.arange(n), np.arange(n)] += 1.0
     return _given(gram, range(n), range(n, len(gram))), recording.duration_s
+
+
+def _as_rivals_are(asked: _Question, line: Line) -> Array:
+    """(N, C, k) the sensitivities of a run, those of the accepted effect as those of its rivals are made: of what it adds at
+    the samples. Else the transients of a slow run, which is all between them, would tell one from the same by another name.
+    """
+    own, winner = line.own.copy(), line.model.file.motor.effect(asked.winner)
+    if winner is not None and not winner.states and not winner.turns():
+        for k, key in enumerate(line.keys):
+            if key.startswith(f"{asked.winner}."):
+                own[:, :, k] = line.of_forcing(of_parameter(line.trajectory, key))[:, :, 0]
+    return own
 
 
 def _rate(found: Finding, planned: Run) -> float:
