@@ -11,7 +11,7 @@ from motorlens_physics.estimate.estimate import by_least_squares, near, one_step
 from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
 from motorlens_physics.estimate.points import begun as first_noise_of
-from motorlens_physics.estimate.points import minimised, needed, shown_at, weighed
+from motorlens_physics.estimate.points import at, minimised, needed, shown_at, weighed
 from motorlens_physics.estimate.prior import Prior, at_prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed
@@ -99,17 +99,28 @@ def nearly(fitted: Fitted) -> Weighed | None:
         return None
 
 
-def likelier(one: Weighed, other: Weighed, prior: Prior) -> bool:
-    """Whether where `nearly` has led a model is likelier beyond chance than where it has led another of fewer parameters.
+def likelier(one: Weighed, other: Weighed, prior: Prior, full: Prior) -> bool:
+    """Whether where `nearly` has led a model may be likelier beyond chance than where it has led another of fewer parameters.
 
-    Each under its own noise: a fit that has gone astray may have a noise by which every other model is impossible.
+    Each under its own noise, for one that has gone astray may have a noise by which every other model is impossible; or by
+    the errors that both leave, in units of the noise of the other. Where friction falls with speed a resting rotor is about
+    to slip, and what noise of the inputs does between slow samples is told by neither model before it is fitted to the end.
 
     Args:
         one: the other's.
         other: the model's.
         prior: of the other's parameters.
+        full: of the model's.
     """
-    return _unlikely(one, prior) - _unlikely(other, prior) > needed(1)
+    beyond = needed(1)
+    if _unlikely(one, prior) - _unlikely(other, full) > beyond:
+        return True
+    try:
+        seen = at(other.model, one, full.only([]))
+    except ModelError:
+        return False
+    won = one.cost - seen.cost + prior.penalty(one.model.values()) - full.penalty(other.model.values())
+    return won > beyond
 
 
 def _unlikely(point: Weighed, prior: Prior) -> float:

@@ -22,6 +22,7 @@ from motorlens_workbench.contest.entering import (
 )
 from motorlens_workbench.contest.exchange import exchanged
 from motorlens_workbench.contest.far_from_file import enter_for_file
+from motorlens_workbench.contest.instead import enter_instead
 from motorlens_workbench.contest.needed import (
     beyond_chance,
     follows,
@@ -124,6 +125,9 @@ def contest(base: Fitted, own: Sequence[type[Effect]] = (), say: Progress = lamb
             break
     if not accepted and not follows(here):
         here, accepted = enter_two(here, attempts, own, say) or (here, accepted)
+    if 0 < len(accepted) < EFFECTS and (_remains(here, accepted, refused) or not follows(here)):
+        found = enter_instead(here, accepted, own, say)
+        here, accepted = _needed(*found, own, say) if found else (here, accepted)
     if _remains(here, accepted, refused):
         if nameless is not None and _imitate(nameless[0], here):
             here, accepted = nameless

@@ -292,7 +292,7 @@ def enter_anew(
 
     def to_the_end(begin: Fitted) -> Fitted | None:
         reached = nearly(begin)
-        if reached is None or not likelier(base, reached, here.fitted.prior):
+        if reached is None or not likelier(base, reached, here.fitted.prior, begin.prior):
             return None
         return anew(begin, reached)
 
