@@ -10,8 +10,8 @@ from motorlens_physics.effect import Effect
 from motorlens_physics.estimate.estimate import by_least_squares, near, one_step_ahead, whole
 from motorlens_physics.estimate.fit import NEAREST, foretold, inverse, minimise, start_model
 from motorlens_physics.estimate.model import Model, with_effect, with_sensor, without_part
-from motorlens_physics.estimate.points import begun as first_noise_of
 from motorlens_physics.estimate.points import at, minimised, needed, shown_at, weighed
+from motorlens_physics.estimate.points import begun as first_noise_of
 from motorlens_physics.estimate.prior import Prior, at_prior, part_prior, start_prior
 from motorlens_physics.estimate.run import Run
 from motorlens_physics.estimate.weighed import Weighed
@@ -100,7 +100,7 @@ def nearly(fitted: Fitted) -> Weighed | None:
 
 
 def likelier(one: Weighed, other: Weighed, prior: Prior, full: Prior) -> bool:
-    """Whether where `nearly` has led a model may be likelier beyond chance than where it has led another of fewer parameters.
+    """Whether a model may be likelier beyond chance, where `nearly` has led it, than another of fewer parameters is there.
 
     Each under its own noise, for one that has gone astray may have a noise by which every other model is impossible; or by
     the errors that both leave, in units of the noise of the other. Where friction falls with speed a resting rotor is about
