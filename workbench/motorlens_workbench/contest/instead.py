@@ -21,7 +21,7 @@ from motorlens_workbench.standing import Standing
 from motorlens_workbench.telling import Progress
 
 # Names that are fitted in the place of one, at most.
-INSTEAD = 2
+TRIED = 2
 
 
 def enter_instead(
@@ -60,7 +60,7 @@ def _in_the_place_of(here: Standing, one: Accepted, others: Sequence[Accepted]) 
         for name, score in rivals_of(here, one).scores.items()
         if score.entry.hypothesis.named and score.possible and name not in known
     ]
-    return sorted(able, key=lambda score: -score.gain)[:INSTEAD]
+    return sorted(able, key=lambda score: -score.gain)[:TRIED]
 
 
 def _with_a_further_one(
