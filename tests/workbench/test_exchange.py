@@ -122,19 +122,20 @@ ONE_BLOCK = np.r_[32.0, np.zeros(63)]
 
 
 @pytest.mark.parametrize(
-    ("there", "back", "won", "shape", "stands", "instead"),
+    ("there", "ahead", "back", "won", "shape", "stands", "instead"),
     [
-        ("beyond chance", 0.9, AGREED, 0.0, "rival", {"name": -0.5 * np.log(4.0 * 9.0)}),
-        ("beyond chance", 0.9, -AGREED, 0.0, "name", {"rival": 0.0}),
-        ("beyond chance", 0.999, ONE_BLOCK, 0.0, "rival", {"name": -2.0}),
-        ("beyond chance", 0.9, AGREED, -4.5, "name", {"rival": 0.5 * np.log(4.0 * 9.0) - 4.5}),
-        ("beyond chance", 0.9, OPEN, 1.0, "rival", {"name": -1.0}),
-        ("beyond chance", 0.9, -AGREED, 1.0, "name", {"rival": 0.0}),
-        ("beyond chance", 0.01, AGREED, 0.0, "name", {"rival": 0.0}),
-        ("beyond chance", 0.01, -AGREED, 0.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
-        ("by chance", 0.9, AGREED, 0.0, "name", {"rival": 0.0}),
-        ("by chance", 0.01, -AGREED, 0.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
-        ("not told", 0.9, AGREED, 0.0, "name", {"rival": -np.inf}),
+        ("beyond chance", 0.8, 0.9, AGREED, 0.0, "rival", {"name": -np.log(9.0)}),
+        ("beyond chance", 0.8, 0.9, -AGREED, 0.0, "name", {"rival": 0.0}),
+        ("beyond chance", 0.8, 0.999, ONE_BLOCK, 0.0, "rival", {"name": -2.0}),
+        ("beyond chance", 0.8, 0.9, AGREED, -4.5, "name", {"rival": np.log(9.0) - 4.5}),
+        ("beyond chance", 0.8, 0.9, OPEN, 1.0, "rival", {"name": -1.0}),
+        ("beyond chance", 0.8, 0.9, -AGREED, 1.0, "name", {"rival": 0.0}),
+        ("beyond chance", 0.8, 0.01, AGREED, 0.0, "name", {"rival": 0.0}),
+        ("beyond chance", 0.8, 0.01, -AGREED, 0.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
+        ("beyond chance", 0.04, 0.9, -AGREED, 0.0, "name", {"rival": -np.log(24.0)}),
+        ("by chance", 0.8, 0.9, AGREED, 0.0, "name", {"rival": 0.0}),
+        ("by chance", 0.8, 0.01, -AGREED, 0.0, "name", {"rival": 0.5 * np.log(4.0 / 99.0)}),
+        ("not told", 0.8, 0.9, AGREED, 0.0, "name", {"rival": -np.inf}),
     ],
     ids=[
         "both say so",
@@ -145,22 +146,23 @@ ONE_BLOCK = np.r_[32.0, np.zeros(63)]
         "its shape is likelier, but it leaves what is less likely",
         "its own model does not say so, though it leaves what is likelier",
         "nothing says so",
+        "only its own model says so, which leaves what is less likely",
         "but it may be there by chance",
         "it may be there by chance, and is less likely",
         "not told in its own model",
     ],
 )
 def test_a_rival_stands_if_both_models_say_so_as_far_as_blocks_of_time_agree(
-    monkeypatch, there, back, won, shape, stands, instead
+    monkeypatch, there, ahead, back, won, shape, stands, instead
 ):
-    """Odds of four to one for the rival from here, of `back` to its rest from there."""
+    """The share of the rival is `ahead` from here, and `back` from the model that has it."""
 
     def accepted(name):
         return Accepted(SimpleNamespace(name=name), 1.0, 1.0, 1.0)  # type: ignore[arg-type]
 
     def rivals_of(here, one):
         if one.hypothesis.name == "name":
-            likely = {"name": 0.2, "rival": 0.8}
+            likely = {"name": 1.0 - ahead, "rival": ahead}
             likely |= {other: 0.0 for other in one.instead}
         else:
             likely = {"name": 1.0 - back, "rival": back}

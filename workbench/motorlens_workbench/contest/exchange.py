@@ -3,10 +3,11 @@
 What the linearised problem says of rivals is bent by the name that is in the model: that has taken the shape that explains
 most, they have theirs as the file has it. So those that seem likelier are fitted, and those outside its group until what is
 left of these is less likely together than a name may be wrong. Of those that are fitted both models are asked: how likely
-each is beside the other, seen from the model that has the one and from the model that has the other. That counts as far as
-blocks of time agree on which of the two models leaves what is likelier, as noise; and the shape that each had to take counts
-besides. A rival that is not beyond chance in its own model may be what is missing as well, as far as it is likely, but does
-not stand in the place of a name that is.
+each is beside the other, seen from the model that has the one and from the model that has the other. The one that leaves
+what is likelier, as noise, sees more than the other, and counts alone where both together would say less. All that counts as
+far as blocks of time agree on which of the two that is; and the shape that each had to take counts besides. A rival that is
+not beyond chance in its own model may be what is missing as well, as far as it is likely, but does not stand in the place of
+a name that is.
 """
 
 from collections.abc import Sequence
@@ -88,9 +89,11 @@ def _likelier(
         there, new, holds = in_its_place(here, one, other, own)
     except ModelError:
         return here, replace(accepted, instead={**accepted.instead, name: -np.inf})
-    likelier = 0.5 * (_odds(rivals, other, one) + _odds(_in_the_place_of(there, new, one), other, one))
+    from_here, from_there = _odds(rivals, other, one), _odds(_in_the_place_of(there, new, one), other, one)
+    both = 0.5 * (from_here + from_there)
     won = residual_of(here, there.fitted).likelier_by_block(here.residual)
     for_it, against = told_apart(won), told_apart(-won)
+    likelier = max(both, from_there) if for_it > against else min(both, from_here)
     # What recordings tell is worth no more than they agree on; how far either shape is from what it may be is known besides.
     likelier = float(np.clip(likelier, -against, for_it))
     likelier += log_shape(other, there.fitted) - log_shape(one, here.fitted)
