@@ -172,13 +172,13 @@ def test_a_rival_stands_if_both_models_say_so_as_far_as_blocks_of_time_agree(
         }
         return Rivals(one.hypothesis.name, likely, scores)  # type: ignore[arg-type]
 
-    def in_its_place(here, one, other, own):
+    def fitted_in_its_place(here, one, other, own):
         if there == "not told":
             raise ModelError(there)
         return SimpleNamespace(fitted="rival"), accepted("rival"), there == "beyond chance"
 
     monkeypatch.setattr(exchange, "rivals_of", rivals_of)
-    monkeypatch.setattr(exchange, "in_its_place", in_its_place)
+    monkeypatch.setattr(exchange, "fitted_in_its_place", fitted_in_its_place)
     monkeypatch.setattr(exchange, "_in_the_place_of", lambda there, new, one: rivals_of(there, new))
     left = SimpleNamespace(likelier_by_block=lambda other: won)
     monkeypatch.setattr(exchange, "residual_of", lambda here, fitted: left)

@@ -23,7 +23,8 @@ from motorlens_physics.estimate.prior import base_prior
 from motorlens_physics.estimate.run import STATE_OF, Run
 from motorlens_physics.scenario import perform, scenarios
 from motorlens_physics.sensor_model import RATED_OF_CHANNEL
-from motorlens_runtime.errors import MotorlensError
+from motorlens_runtime.errors import ModelError, MotorlensError
+from motorlens_workbench.contest.exchange import fitted_in_its_place
 from motorlens_workbench.contest.worth import own_score
 from motorlens_workbench.criteria import CRITERIA
 from motorlens_workbench.diagnose import Finding
@@ -31,10 +32,11 @@ from motorlens_workbench.evidence.ledger import common
 from motorlens_workbench.evidence.score import inverse
 from motorlens_workbench.fitted import Accepted
 from motorlens_workbench.hypotheses.courses import of_parameter
-from motorlens_workbench.hypotheses.effects import effects
+from motorlens_workbench.hypotheses.effects import EffectShape, effects
 from motorlens_workbench.hypotheses.hypothesis import Hypothesis
 from motorlens_workbench.hypotheses.line import Line
 from motorlens_workbench.hypotheses.sensors import sensors
+from motorlens_workbench.standing import Standing
 from motorlens_workbench.verdict import Verdict
 
 Array = NDArray[np.float64]
@@ -130,7 +132,7 @@ class _Question:
         accepted = next(one for one in found.outcome.accepted if one.hypothesis.name == group[0])
         fitted = last.fitted
         every = [*effects(fitted.model.file), *sensors(fitted.model.file, [line.run for line in last.lines])]
-        rivals = tuple(one for one in every if one.name in group)
+        rivals = tuple(_as_fitted(last, accepted, one) for one in every if one.name in group)
         shapes = [shape for rival in rivals for shape in rival.shapes]
         labels = tuple(label for rival in rivals for labels in _labels(rival) for label in labels)
         noises = [run.noise for run in fitted.runs if run.noise is not None]
@@ -161,6 +163,22 @@ class _Question:
     def winner(self) -> str:
         """The one that was accepted."""
         return self.accepted.hypothesis.name
+
+
+def _as_fitted(last: Standing, accepted: Accepted, rival: Hypothesis) -> Hypothesis:
+    """A rival with the shape that it takes in the place of the accepted name, besides those that are looked at."""
+    (first, *others) = rival.shapes
+    if not others or not isinstance(first, EffectShape) or first.width > 1:
+        return rival
+    try:
+        there, _, _ = fitted_in_its_place(last, accepted.hypothesis, rival, last.own)
+    except ModelError:
+        return rival
+    part = there.fitted.model.file.motor.effect(rival.name)
+    assert part is not None
+    size = type(part).switch().name
+    typical = replace(part, **{size: getattr(first.parts[0], size)})
+    return replace(rival, shapes=(*rival.shapes, replace(first, parts=(typical,))))
 
 
 def _labels(rival: Hypothesis) -> list[list[str]]:
@@ -357,26 +375,22 @@ def _apart(asked: _Question, gram: Array) -> tuple[dict[tuple[str, str], float],
     rest = [k for k in range(len(names)) if k not in base]
     before, after = _given(asked.gram, base, rest), _given(gram, base, rest)
     place = {names[k]: n for n, k in enumerate(rest)}
-    columns = {asked.winner: [[place[key] for key in asked.keys if key.startswith(mine)]]}
+    columns = {asked.winner: [place[key] for key in asked.keys if key.startswith(mine)]}
+    # Fitted, a rival takes any shape between those that are looked at, as the accepted one has.
     for rival in asked.rivals:
-        columns[rival.name] = [[place[label] for label in labels] for labels in _labels(rival)]
+        columns[rival.name] = [place[label] for labels in _labels(rival) for label in labels]
     fitted, key = asked.found.outcome.last.fitted, asked.accepted.hypothesis.key
     size = np.zeros(len(rest))
     size[place[key]] = (
         fitted.model.values()[key] - (fitted.model.file.meaning(key).null or 0.0)
     ) / fitted.prior.sd[key]
     one_way, worth = {}, 0.0
-    for name, shapes in columns.items():
-        truth = size
-        if name != asked.winner:
-            # At the size that explains the recordings as the accepted one does.
-            fits = [_instead(before, size, shape) for shape in shapes]
-            truth = min(fits, key=lambda fit: _left(before, size - fit))
+    for name, own in columns.items():
+        # At the size that explains the recordings as the accepted one does.
+        truth = size if name == asked.winner else _instead(before, size, own)
         worth = max(worth, float(truth @ after @ truth))
         for other in columns.keys() - {name}:
-            one_way[name, other] = min(
-                _left(after, truth - _instead(after, truth, shape)) for shape in columns[other]
-            )
+            one_way[name, other] = _left(after, truth - _instead(after, truth, columns[other]))
     pairs = combinations(asked.names, 2)
     return {(one, other): min(one_way[one, other], one_way[other, one]) for one, other in pairs}, worth
 

@@ -86,7 +86,7 @@ def _likelier(
     """Where the contest stands with a name that has entered, or with a rival of this name in its place if it is likelier."""
     one, other = accepted.hypothesis, rivals.scores[name].entry.hypothesis
     try:
-        there, new, holds = in_its_place(here, one, other, own)
+        there, new, holds = fitted_in_its_place(here, one, other, own)
     except ModelError:
         return here, replace(accepted, instead={**accepted.instead, name: -np.inf})
     from_here, from_there = _odds(rivals, other, one), _odds(_in_the_place_of(there, new, one), other, one)
@@ -120,7 +120,7 @@ def _in_the_place_of(there: Standing, new: Accepted, one: Hypothesis) -> Rivals:
     return rivals_in(ledger(there.lines, Lens(there.noises), there.fitted.prior, [one]), there.fitted, new)
 
 
-def in_its_place(
+def fitted_in_its_place(
     here: Standing, one: Hypothesis, other: Hypothesis, own: Sequence[type[Effect]]
 ) -> tuple[Standing, Accepted, bool]:
     """Where the contest stands with another name in the place of one, fitted in full, and whether it is beyond chance there.

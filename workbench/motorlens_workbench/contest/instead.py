@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from motorlens_physics.effect import Effect
 from motorlens_runtime.errors import ModelError
 from motorlens_workbench.contest.entering import enter, unlikely_as_known
-from motorlens_workbench.contest.exchange import in_its_place
+from motorlens_workbench.contest.exchange import fitted_in_its_place
 from motorlens_workbench.contest.needed import beyond_chance, follows, needed_weight, promising
 from motorlens_workbench.contest.rivals import rivals_of
 from motorlens_workbench.evidence.score import Score, log_chance
@@ -76,7 +76,7 @@ def _with_a_further_one(
     Raises:
         ModelError: no model can be fitted with it.
     """
-    there, new, holds = in_its_place(here, one.hypothesis, score.entry.hypothesis, own)
+    there, new, holds = fitted_in_its_place(here, one.hypothesis, score.entry.hypothesis, own)
     challengers, able = beyond_chance(there, [*others, new], ()), promising(there, ())
     if not holds or not (challengers or able):
         return None
