@@ -375,22 +375,26 @@ def _apart(asked: _Question, gram: Array) -> tuple[dict[tuple[str, str], float],
     rest = [k for k in range(len(names)) if k not in base]
     before, after = _given(asked.gram, base, rest), _given(gram, base, rest)
     place = {names[k]: n for n, k in enumerate(rest)}
-    columns = {asked.winner: [place[key] for key in asked.keys if key.startswith(mine)]}
-    # Fitted, a rival takes any shape between those that are looked at, as the accepted one has.
+    columns = {asked.winner: [[place[key] for key in asked.keys if key.startswith(mine)]]}
     for rival in asked.rivals:
-        columns[rival.name] = [place[label] for labels in _labels(rival) for label in labels]
+        columns[rival.name] = [[place[label] for label in labels] for labels in _labels(rival)]
     fitted, key = asked.found.outcome.last.fitted, asked.accepted.hypothesis.key
     size = np.zeros(len(rest))
     size[place[key]] = (
         fitted.model.values()[key] - (fitted.model.file.meaning(key).null or 0.0)
     ) / fitted.prior.sd[key]
     one_way, worth = {}, 0.0
-    for name, own in columns.items():
-        # At the size that explains the recordings as the accepted one does.
-        truth = size if name == asked.winner else _instead(before, size, own)
+    for name, shapes in columns.items():
+        truth = size
+        if name != asked.winner:
+            # At the size that explains the recordings as the accepted one does.
+            fits = [_instead(before, size, shape) for shape in shapes]
+            truth = min(fits, key=lambda fit: _left(before, size - fit))
         worth = max(worth, float(truth @ after @ truth))
         for other in columns.keys() - {name}:
-            one_way[name, other] = _left(after, truth - _instead(after, truth, columns[other]))
+            # Fitted, it takes any shape between those that are looked at.
+            every = [at for shape in columns[other] for at in shape]
+            one_way[name, other] = _left(after, truth - _instead(after, truth, every))
     pairs = combinations(asked.names, 2)
     return {(one, other): min(one_way[one, other], one_way[other, one]) for one, other in pairs}, worth
 
