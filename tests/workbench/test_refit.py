@@ -14,15 +14,18 @@ FRICTION = {"name": "coulomb_friction", "size": 0.005, "shape": {}}
 
 
 @pytest.mark.fit
-def test_of_two_models_each_is_as_likely_as_its_own_noise_says(tmp_path: Path) -> None:
-    """Compared under the noise of one of them, the better one would win even where its own noise is absurd."""
+def test_a_model_may_be_likelier_by_its_own_noise_or_by_the_errors_that_it_leaves(tmp_path: Path) -> None:
+    """Compared under the noise of one of them alone, the better one would win or lose by a noise that is absurd."""
     here = textbook_on(tmp_path, "servo_24V", [FRICTION], "no_load_steps", 3.0)
     prior, score = here.fitted.prior, best_of(here.scores)["coulomb_friction"]
-    without, there = nearly(here.fitted), nearly(begun(here.fitted, score))
+    begin = begun(here.fitted, score)
+    full, without, there = begin.prior, nearly(here.fitted), nearly(begin)
     assert without is not None and there is not None
-    assert likelier(without, there, prior) and not likelier(there, without, prior)
-    absurd = _quieter(there, 1e-4)
-    assert likelier(absurd, without, prior) and not likelier(without, absurd, prior)
+    assert likelier(without, there, prior, full) and not likelier(there, without, full, prior)
+    assert likelier(_quieter(there, 1e-4), without, full, prior)
+    # What its noise has been led to is no reason to leave a model that explains more.
+    assert likelier(without, _quieter(there, 1e-4), prior, full)
+    assert not likelier(without, _quieter(without, 1e-4), prior, prior)
 
 
 def _quieter(point: Weighed, share: float) -> Weighed:
