@@ -83,8 +83,7 @@ def test_an_engineer_adds_friction_and_then_a_drop_to_wheel_motors_and_the_error
         reached, below, file = after, file, step.rungs[-1].file
         errors += [before, after]
     assert 0.57 < 1 - errors[-1] / errors[0] < 0.77
-    # Where a rotor sticks hangs on the last digits of where a fit begins, and on the order in which cores add up: two ends
-    # are no farther apart than recordings leave it open.
+    # Where a fit ends is no matter of the last digits of where it begins: two ends here are nearly as likely.
     known = {key: below.knowledge[key] for key in ("R_a0", "L")}
     begun = {
         key: replace(one, prior=replace(one.prior, value=(1 + 1e-9) * one.prior.value))
@@ -92,13 +91,9 @@ def test_an_engineer_adds_friction_and_then_a_drop_to_wheel_motors_and_the_error
     }
     nudged = below.with_values({}, begun)
     again = add(nudged, ["brush_voltage_drop"], recordings)
-    assert again.rungs[-1].held_out["speed"] == pytest.approx(step.rungs[-1].held_out["speed"], rel=0.1)
-    one, other = (rung.file for rung in (step.rungs[-1], again.rungs[-1]))
-    unsure = one.knowledge["brush_voltage_drop.V_b"].sd
-    assert unsure is not None and unsure < 0.025
-    assert other.values()["brush_voltage_drop.V_b"] == pytest.approx(
-        one.values()["brush_voltage_drop.V_b"], abs=1.5 * unsure
-    )
+    assert again.rungs[-1].held_out["speed"] == pytest.approx(step.rungs[-1].held_out["speed"], rel=0.04)
+    drops = [rung.file.values()["brush_voltage_drop.V_b"] for rung in (step.rungs[-1], again.rungs[-1])]
+    assert drops[1] == pytest.approx(drops[0], rel=0.03)
 
 
 @pytest.mark.long
