@@ -6,11 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.hidden import known
 
 from motorlens_physics.effect import catalogue
 from motorlens_physics.inputs import Inputs
 from motorlens_physics.motor_file import MotorFile, read_motor_file
-from motorlens_physics.recording import Recording
+from motorlens_physics.recording import Recording, read_recording
 from motorlens_physics.scenario import measure, perform, scenarios
 from motorlens_physics.sensor_model import sensor_catalogue
 from motorlens_physics.simulation import simulate
@@ -165,7 +166,7 @@ def test_a_run_both_ways_tells_a_drop_from_offsets_that_no_run_tells_from_each_o
     assert {frozenset(part) for part in experiment.parts} == {frozenset(offsets), frozenset(drops)}
     assert set(experiment.check) == {"speed", "voltage"}
     assert "it leaves" in experiment.why and "no run" not in experiment.why
-    assert experiment.sentence.startswith("To tell ") and " or " in experiment.sentence
+    assert experiment.sentence.startswith("To tell ") and " or speed sensor offset" in experiment.sentence
     # It says what it leaves, and so it does once it is done: a dead time takes the shape of a drop whose heat nothing shows.
     step_s = experiment.seconds / SAMPLES
     both_ways = perform(
@@ -195,3 +196,18 @@ def test_no_run_without_a_thermometer_tells_what_a_drop_heats(rough) -> None:
     verdict, experiment = proposed(diagnose(rough, [replace(seen, channels=kept)]))
     assert set(verdict.groups[0]) == {"brush_voltage_drop", "dead_time"}
     assert experiment is not None and (experiment.test == "" or experiment.with_sensor == "temperature")
+
+
+@pytest.mark.long
+@pytest.mark.blind
+def test_no_run_tells_a_drift_of_the_ambient_that_comes_at_once_from_a_thermometer_that_is_off(
+    tmp_path,
+) -> None:
+    """A minute of a locked rotor had been proposed, for a drift that takes a quarter of an hour; it left all three."""
+    made = known("dev-0442", tmp_path)
+    verdict, experiment = proposed(
+        diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    )
+    (group,) = verdict.groups
+    assert {made.truth["hidden"][0]["name"], "ambient_drift"} <= set(group)
+    assert experiment is not None and not experiment.test and experiment.check == ("temperature",)
