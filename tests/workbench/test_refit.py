@@ -8,7 +8,7 @@ from helpers.textbook import textbook_on
 
 from motorlens_physics.estimate.weighed import Weighed
 from motorlens_workbench.evidence.look import best_of
-from motorlens_workbench.refit import begun, likelier, nearly
+from motorlens_workbench.refit import begun, may_be_likelier, nearly
 
 FRICTION = {"name": "coulomb_friction", "size": 0.005, "shape": {}}
 
@@ -21,11 +21,11 @@ def test_a_model_may_be_likelier_by_its_own_noise_or_by_the_errors_that_it_leave
     begin = begun(here.fitted, score)
     full, without, there = begin.prior, nearly(here.fitted), nearly(begin)
     assert without is not None and there is not None
-    assert likelier(without, there, prior, full) and not likelier(there, without, full, prior)
-    assert likelier(_quieter(there, 1e-4), without, full, prior)
+    assert may_be_likelier(without, there, prior, full) and not may_be_likelier(there, without, full, prior)
+    assert may_be_likelier(_quieter(there, 1e-4), without, full, prior)
     # What its noise has been led to is no reason to leave a model that explains more.
-    assert likelier(without, _quieter(there, 1e-4), prior, full)
-    assert not likelier(without, _quieter(without, 1e-4), prior, prior)
+    assert may_be_likelier(without, _quieter(there, 1e-4), prior, full)
+    assert not may_be_likelier(without, _quieter(without, 1e-4), prior, prior)
 
 
 def _quieter(point: Weighed, share: float) -> Weighed:

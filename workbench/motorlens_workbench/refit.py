@@ -99,7 +99,7 @@ def nearly(fitted: Fitted) -> Weighed | None:
         return None
 
 
-def likelier(one: Weighed, other: Weighed, prior: Prior, full: Prior) -> bool:
+def may_be_likelier(one: Weighed, other: Weighed, prior: Prior, full: Prior) -> bool:
     """Whether a model may be likelier beyond chance, where `nearly` has led it, than another of fewer parameters is there.
 
     Each under its own noise, for one that has gone astray may have a noise by which every other model is impossible; or by

@@ -2,9 +2,10 @@
 
 Every hypothesis, with a name or without, is weighed by what it explains of the evidence (Bayes factors under one
 scatter), the best with a name are fitted in full, and the best of all enters if it is beyond what the largest of all
-would be by chance (`evidence.null`). What has entered is weighed again beside whatever enters later. Where nothing else
-shows, a parameter far from the motor file may stand for a name (`far_from_file`). At the end every name is compared with
-all that could stand in its place.
+would be by chance (`evidence.null`). What has entered is weighed again beside whatever enters later. Where something
+is left beside a name, another is tried in its place with a further one (`instead`). Where nothing else shows, a parameter
+far from the motor file may stand for a name (`far_from_file`). At the end every name is compared with all that could stand
+in its place.
 """
 
 from collections.abc import Mapping, Sequence

@@ -33,7 +33,7 @@ from motorlens_workbench.refit import (
     at_file,
     at_first,
     begun,
-    likelier,
+    may_be_likelier,
     nearly,
     promise,
     settled,
@@ -292,7 +292,7 @@ def enter_anew(
 
     def to_the_end(begin: Fitted) -> Fitted | None:
         reached = nearly(begin)
-        if reached is None or not likelier(base, reached, here.fitted.prior, begin.prior):
+        if reached is None or not may_be_likelier(base, reached, here.fitted.prior, begin.prior):
             return None
         return anew(begin, reached)
 

@@ -38,11 +38,8 @@ def enter_instead(
     for one in accepted:
         others = [other for other in accepted if other is not one]
         for score in _in_the_place_of(here, one, others):
-            say(
-                f"{score.name} in the place of {one.hypothesis.name}, and what enters beside it".replace(
-                    "_", " "
-                )
-            )
+            place = f"{score.name} in the place of {one.hypothesis.name}".replace("_", " ")
+            say(f"{place}, and what enters beside it")
             try:
                 found = _with_a_further_one(here, one, others, score, own, say)
             except ModelError:
