@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.hidden import Generated, known
+from helpers.hidden import Case, Generated, generate, known
 
 from motorlens_physics.effect import Effect, catalogue
 from motorlens_physics.estimate.calibrate import calibrate
@@ -426,6 +426,24 @@ def test_a_friction_that_falls_with_speed_is_named_though_near_its_best_it_seems
     (hidden,), values = made.truth["hidden"], found.outcome.last.fitted.model.values()
     assert values["stribeck_friction.tau_s"] == pytest.approx(hidden["size"], rel=0.25)
     assert values["stribeck_friction.w_k"] == pytest.approx(hidden["shape"]["w_k"], rel=0.15)
+
+
+@pytest.mark.long
+@pytest.mark.blind
+@pytest.mark.xfail(
+    strict=True, reason="readings that come again are taken to tell ever more, of the viscosity as well"
+)
+def test_a_current_that_stays_at_one_reading_is_no_torque_about_one_speed(tmp_path):
+    """World 17 of `benchmarks/null.py --count 40 --seed 46`: nothing is missing, its current is read in three levels."""
+    world = Case(
+        "null", 484499866351269845, "frame_240V", "none", (), 0.002, "10bit", records="both", excitation="rich",
+        channels="no_torque", pwm_ripple=False, stamped=False, small=True,
+    )  # fmt: skip
+    made = generate(world, tmp_path)
+    found = diagnose(read_motor_file(made.motor), [read_recording(path) for path in made.recordings])
+    assert settle(found).kind == "adequate"
+    viscosity, sd = found.base.fit.model.values()["b"], found.base.fit.sd()["b"]
+    assert 0 < abs(viscosity - made.truth["textbook"]["b"]) < 3 * sd < 0.03 * viscosity
 
 
 @pytest.mark.long
