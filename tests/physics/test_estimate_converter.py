@@ -172,7 +172,9 @@ def test_a_current_within_a_step_of_its_converter_tells_nothing_of_the_motor(see
 @pytest.mark.fit
 @pytest.mark.long
 @pytest.mark.xfail(
-    strict=True, reason="readings that come again are taken to tell ever more: 6.7 and 4.0 deviations off"
+    strict=True,
+    raises=AssertionError,
+    reason="readings that come again are taken to tell ever more: 6.7 and 4.0 deviations off",
 )
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_current_that_stays_at_one_reading_is_not_in_the_middle_of_it(seed):

@@ -431,7 +431,9 @@ def test_a_friction_that_falls_with_speed_is_named_though_near_its_best_it_seems
 @pytest.mark.long
 @pytest.mark.blind
 @pytest.mark.xfail(
-    strict=True, reason="readings that come again are taken to tell ever more, of the viscosity as well"
+    strict=True,
+    raises=AssertionError,
+    reason="readings that come again are taken to tell ever more, of the viscosity as well",
 )
 def test_a_current_that_stays_at_one_reading_is_no_torque_about_one_speed(tmp_path):
     """World 17 of `benchmarks/null.py --count 40 --seed 46`: nothing is missing, its current is read in three levels."""

@@ -12,9 +12,9 @@ What a converter shows is no number but an interval: the truth lies within half 
 place what says as much, near the errors as they are: a reading and a noise of it that have the same score and the same
 information, and so leave the state where the mean and the variance of the truth within the interval are (Curry 1970,
 Estimation and Control with Quantized Measurements, MIT Press). A signal that stays between two levels then tells no more
-than that, however long it stays, unless disturbances move it: the state is taken to be normal, not uniform, after every
-reading, and each that is the same again cuts off tails that are not there (`test_estimate_converter.py`, a current that
-stays at one reading: not mended).
+than that, however long it stays, unless disturbances move it. The state is taken to be normal, not uniform, after every
+reading: each that is the same again then cuts off tails that are not there, and the state seems nearer to the middle of the
+interval than is known. That is a fault which remains (`test_estimate_converter.py`, a current that stays at one reading).
 
 The state of the filter is the motor's n states, one value for every input (the error of its latest sample) and one for
 every slow disturbance. Measured channels are taken in one by one, so that no matrix is inverted and a missing sample
